@@ -1,0 +1,74 @@
+"""What is known of an exposure, and what a fit says of a target's motion in it.
+
+A point moves as ``d(t) = a sin(ωt) + b cos(ωt)`` about its mean, ωt measured from the excitation's own phase
+reference. Without phase, a is the orbit's major semi-axis (sign chosen so that its largest component is positive)
+and b the minor one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from labdaemon.blur.pixels import FloatArray
+from labdaemon.flags import Flag
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """When the shutter was open, in terms of the excitation.
+
+    Attributes
+    ----------
+    frequency_hz, exposure_s
+        Excitation and true length of the exposure.
+    phase_rad
+        Excitation phase ωt at the opening; None if it was not recorded.
+    sd_phase_rad, sd_exposure_s
+        Their standard deviations (timing jitter; shutter calibration).
+    """
+
+    frequency_hz: float
+    exposure_s: float
+    phase_rad: float | None = None
+    sd_phase_rad: float = 0.0
+    sd_exposure_s: float = 0.0
+
+    @property
+    def cycles(self) -> float:
+        """Excitation cycles in the exposure."""
+        return self.frequency_hz * self.exposure_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """A target's motion in one frame (or one group of frames), in pixels.
+
+    Attributes
+    ----------
+    target
+        Its name.
+    centre_px
+        (2,) mean position over the exposure, x and y.
+    a_px, b_px
+        (2,) semi-axes as the module's docstring defines them.
+    covariance_px2
+        (6, 6) covariance of (x, y, ax, ay, bx, by); NaN where not measured.
+    phased
+        True when a and b carry the excitation's phase (signed), False for an orbit's axes.
+    flags
+        Statements about it, see `Flag`.
+    extra_blur_px2
+        Isotropic extra variance against the sharp frame (defocus), px², as used.
+    chi2
+        Mean squared normalised residual; 1 when the model holds.
+    """
+
+    target: str
+    centre_px: FloatArray
+    a_px: FloatArray
+    b_px: FloatArray
+    covariance_px2: FloatArray
+    phased: bool = False
+    flags: frozenset[Flag] = field(default_factory=frozenset)
+    extra_blur_px2: float = 0.0
+    chi2: float = 1.0

@@ -1,0 +1,38 @@
+"""The flags of a measurement: statements about one target, in result files and events.
+
+A target that cannot be measured keeps its row with empty numbers and a flag; one that can must come without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+
+
+class Flag(StrEnum):
+    """What a result file says about a target, beside its numbers."""
+
+    NOT_FOUND = "not_found"
+    """The target could not be located in the frame."""
+    AT_REST = "at_rest"
+    """Below the detection limit; the estimate and its standard deviation stay."""
+    SATURATED = "saturated"
+    """Too many pixels at white level for what is left to determine the motion."""
+    OCCLUDED = "occluded"
+    """Something stands in front of the target."""
+    PAPER_EDGE = "paper_edge"
+    """The smear reaches the edge of its white paper."""
+    POOR_FIT = "poor_fit"
+    """The residuals are larger than noise: the motion is not what the model says."""
+    AMBIGUOUS = "ambiguous"
+    """Ends or orbit not settled between cameras; the better solution is given."""
+    PART_CYCLES = "part_cycles"
+    """More than 0.05 cycles from whole, with the phase unknown."""
+    CAMERA_MOVED = "camera_moved"
+    """The frame's control targets moved: camera shake, not structure."""
+
+
+def join_flags(flags: Iterable[Flag]) -> str:
+    """Write flags as a result file has them: each once, in the order of `Flag`, with `;` between."""
+    present = set(flags)
+    return ";".join(flag.value for flag in Flag if flag in present)

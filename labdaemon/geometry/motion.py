@@ -1,0 +1,63 @@
+"""A target's motion as cameras see it and as it is: what geometry takes and gives.
+
+Image quantities are pixels of the frame as taken (with lens distortion), pixel centres at integers. Object space is
+right-handed, Z up, millimetres. ``d(t) = a sin(ωt) + b cos(ωt)`` about the mean; without phase a and b are the
+orbit's major and minor semi-axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.flags import Flag
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageMotion:
+    """A target's motion in one camera's frame.
+
+    Attributes
+    ----------
+    mean_px, a_px, b_px
+        (2,) each.
+    covariance_px2
+        (6, 6) of (x, y, ax, ay, bx, by).
+    phased
+        True when a and b are signed by the excitation's phase.
+    """
+
+    mean_px: FloatArray
+    a_px: FloatArray
+    b_px: FloatArray
+    covariance_px2: FloatArray
+    phased: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectMotion:
+    """A target's motion in object space.
+
+    Attributes
+    ----------
+    mean_mm, a_mm, b_mm
+        (3,) each.
+    covariance_mm2
+        (9, 9) of (x, y, z, ax, ay, az, bx, by, bz); NaN rows and columns for what was not observed (the normal
+        component with one camera).
+    residual_ratio
+        Runner-up's residual over the best one's, when ends had to be matched; None otherwise.
+    flags
+        `Flag.AMBIGUOUS` where the match is not settled.
+    """
+
+    mean_mm: FloatArray
+    a_mm: FloatArray
+    b_mm: FloatArray
+    covariance_mm2: FloatArray
+    residual_ratio: float | None = None
+    flags: frozenset[Flag] = field(default_factory=frozenset)
