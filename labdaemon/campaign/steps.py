@@ -1,0 +1,87 @@
+"""What a plan is made of: the values that the engine walks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+PhaseKind = Literal["sharp", "steps", "dwell", "sweep", "external", "pause"]
+OnFault = Literal["retry", "skip", "pause", "abort"]
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One planned capture of a step.
+
+    Attributes
+    ----------
+    exposure_s
+        The camera's own step that was chosen.
+    cycles
+        Excitation cycles in it, None at rest or when nobody knows the frequency.
+    phase_rad
+        Excitation phase at which to open, None for any.
+    """
+
+    exposure_s: float
+    cycles: float | None = None
+    phase_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Settle:
+    """When table and structure count as settled."""
+
+    max_change_per_cycle: float = 0.001
+    timeout_s: float = 60.0
+    damping_ratio: float = 0.01
+    """Assumed for the wait ln(1000)/(ζ·2πf) when there is no response gauge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One excitation setting (or a rest, a wait, a pause) and the captures taken in it.
+
+    `index` counts over the whole campaign from 0; `phase` is the place of the ``[[phase]]`` it came from.
+    """
+
+    index: int
+    phase: int
+    kind: PhaseKind
+    label: str
+    frequency_hz: float | None
+    amplitude_mm: float | None
+    shots: tuple[Shot, ...]
+    grouped: bool
+    """Shots at several phases are measured jointly and reported once."""
+    settle: Settle
+    on_fault: OnFault
+    predicted_s: float
+    predicted_bytes: int
+    hold_s: float = 0.0
+    """Dwell time before the shots of a dwell, length of a pause or of waiting for an outside system; 0 for none."""
+    not_before: str | None = None
+    not_after: str | None = None
+    """Time window of the day as HH:MM (local time) in which the step may start; None for any."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A campaign, checked against the rig, step by step."""
+
+    name: str
+    steps: tuple[Step, ...]
+    toml: str
+    """The campaign's text as submitted."""
+    digest: str
+    """SHA-256 of text and of the parts of the rig it was planned for: resuming under another is refused."""
+
+    @property
+    def predicted_s(self) -> float:
+        """Expected duration."""
+        return sum(step.predicted_s for step in self.steps)
+
+    @property
+    def predicted_bytes(self) -> int:
+        """Expected disk use."""
+        return sum(step.predicted_bytes for step in self.steps)
