@@ -148,7 +148,9 @@ class Camera(Protocol):
         """Find the body by its serial number and open a session."""
         ...
 
-    def configure(self, *, exposure_s: float | None = None, f_number: float | None = None, iso: int | None = None) -> float:
+    def configure(
+        self, *, exposure_s: float | None = None, f_number: float | None = None, iso: int | None = None
+    ) -> float:
         """Set what is given; return the body's own exposure time in seconds (the step nearest to what was asked)."""
         ...
 
