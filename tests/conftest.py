@@ -1,0 +1,18 @@
+"""Fixtures that all tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of real pictures and published adjustments; kept outside the repository."""
+    root = Path(os.environ.get("LABDAEMON_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+    data = root / "data"
+    if not data.is_dir():
+        pytest.skip("the shared data folder is absent (set LABDAEMON_SHARED)")
+    return data
