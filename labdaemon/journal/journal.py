@@ -1,0 +1,272 @@
+"""The one durable record and event outbox: an SQLite database in WAL mode, each commit synced to the disk.
+
+One writer, guarded by a lock file, so that two daemons never share a data folder. Reads go over a connection of their
+own: the event loop that publishes never waits for a writer's fsync.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import sqlite3
+import threading
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from labdaemon.clock import Clock, rfc3339
+from labdaemon.errors import DataError
+from labdaemon.journal.event import Event
+from labdaemon.journal.schema import APPLICATION_ID, TABLES, VERSION
+
+FILE_NAME = "journal.db"
+LOCK_NAME = "journal.lock"
+
+
+class JournalError(DataError):
+    """The journal cannot be read or written; `retryable` when freeing disk space is all it needs."""
+
+
+class StorageFull(DataError):
+    """No space is left. Nothing was lost: what had been committed stays, what had not is repeated."""
+
+    retryable = True
+    exit_status = 1
+
+
+def as_data_error(exc: sqlite3.Error | OSError, file: Path) -> DataError:
+    """Say what a failed write means and what to do about it."""
+    text = str(exc).lower()
+    if "full" in text or getattr(exc, "errno", None) in (28, 122):
+        return StorageFull("the disk is full; free some space, the daemon then goes on by itself", file=file)
+    if "readonly" in text or "read-only" in text or getattr(exc, "errno", None) in (13, 30):
+        return JournalError("cannot be written (read-only disk or missing permission); remount or chown it", file=file)
+    if "malformed" in text or "not a database" in text or "corrupt" in text:
+        return JournalError(
+            "the journal is damaged and was left as it is; start with --new-journal to set it aside and begin another",
+            file=file,
+        )
+    return JournalError(f"{exc}; check the disk", file=file)
+
+
+class Transaction:
+    """What may be written together: rows and the events that tell of them.
+
+    Made by `Journal.transaction` only; unusable after it.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, at: str, last_seq: int) -> None:
+        self._connection = connection
+        self.at = at
+        self.last_seq = last_seq
+
+    def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
+        """Run one statement."""
+        return self._connection.execute(sql, values)
+
+    def emit(self, kind: str, campaign: str | None, data: dict[str, Any]) -> int:
+        """Append an event and return its `seq`, one more than the last one's."""
+        self.last_seq += 1
+        text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+        self.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, text)
+        return self.last_seq
+
+
+class Journal:
+    """An open journal; also the outbox that the event stream is fed from.
+
+    Parameters
+    ----------
+    folder
+        The data folder; made if absent. The journal lies in it as ``journal.db``.
+    clock
+        Stamps events.
+    replace_damaged
+        Set a damaged journal aside under another name and begin a new one; otherwise it is refused.
+    synchronous
+        ``FULL`` syncs each commit. ``OFF`` is for simulated time, where nothing is worth keeping.
+
+    Raises
+    ------
+    JournalError
+        Another daemon holds it, it is of a newer version, damaged, or cannot be written.
+    StorageFull
+        The disk is full.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        clock: Clock,
+        *,
+        replace_damaged: bool = False,
+        synchronous: Literal["FULL", "OFF"] = "FULL",
+    ) -> None:
+        self.folder = folder
+        self.path = folder / FILE_NAME
+        self._clock = clock
+        self._synchronous = synchronous
+        self._listeners: list[Callable[[str], None]] = []
+        self._last_seq = 0
+        self._write_lock, self._read_lock = threading.RLock(), threading.Lock()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock_file = self._take_lock(folder / LOCK_NAME)
+        except OSError as exc:
+            raise as_data_error(exc, folder) from exc
+        try:
+            self._open(replace_damaged)
+        except BaseException:
+            self._lock_file.close()
+            raise
+
+    @property
+    def last_seq(self) -> int:
+        """`seq` of the latest committed event, 0 before the first."""
+        return self._last_seq
+
+    def events_after(self, seq: int, limit: int) -> list[Event]:
+        """Committed events with a `seq` greater than this one, in order, at most `limit`."""
+        rows = self.read(
+            "SELECT seq, at, kind, campaign, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?", seq, limit
+        )
+        return [Event(row[0], row[1], row[2], row[3], json.loads(row[4]), self.uuid) for row in rows]
+
+    def read(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
+        """Rows of what is committed."""
+        with self._read_lock:
+            try:
+                return self._reader.execute(sql, values).fetchall()
+            except sqlite3.Error as exc:
+                raise as_data_error(exc, self.path) from exc
+
+    @contextmanager
+    def transaction(self, name: str) -> Iterator[Transaction]:
+        """Write rows and events together or not at all; synced to the disk when the block is left.
+
+        `name` names the transition for listeners, which hear of it after the commit.
+        """
+        with self._write_lock:
+            transaction = Transaction(self._writer, rfc3339(self._clock.now()), self._last_seq)
+            try:
+                self._writer.execute("BEGIN IMMEDIATE")
+                yield transaction
+                self._tell(f"before {name}")
+                self._writer.execute("COMMIT")
+            except sqlite3.Error as exc:
+                self._roll_back()
+                raise as_data_error(exc, self.path) from exc
+            except BaseException:
+                self._roll_back()
+                raise
+            self._last_seq = transaction.last_seq
+        self._tell(name)
+
+    def listen(self, listener: Callable[[str], None]) -> None:
+        """Call `listener(name)` after each commit, on the writing thread, and with ``before NAME`` ahead of it.
+
+        It must be quick and must not raise.
+        """
+        self._listeners.append(listener)
+
+    def close(self) -> None:
+        """Close it and let another daemon have it."""
+        with self._write_lock, self._read_lock:
+            self._writer.close()
+            self._reader.close()
+            self._lock_file.close()
+
+    def _tell(self, name: str) -> None:
+        for listener in self._listeners:
+            listener(name)
+
+    def _roll_back(self) -> None:
+        with suppress(sqlite3.Error):
+            if self._writer.in_transaction:
+                self._writer.execute("ROLLBACK")
+
+    @staticmethod
+    def _take_lock(path: Path) -> IO[str]:
+        file = path.open("a+", encoding="ascii")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as exc:
+            file.seek(0)
+            holder = file.read().strip() or "unknown"
+            file.close()
+            raise JournalError(
+                f"another labdaemon (process {holder}) is using this data folder; stop it or give another --data",
+                file=path.parent,
+            ) from exc
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        return file
+
+    def _open(self, replace_damaged: bool) -> None:
+        try:
+            self._connect()
+        except JournalError as exc:
+            if not (replace_damaged and "damaged" in str(exc)):
+                raise
+            set_aside(self.path, rfc3339(self._clock.now()))
+            self._connect()
+
+    def _connect(self) -> None:
+        try:
+            fresh = not self.path.exists() or self.path.stat().st_size == 0
+            self._writer = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
+            try:
+                if not fresh:
+                    self._check()
+                self._writer.execute("PRAGMA journal_mode = WAL")
+                self._writer.execute(f"PRAGMA synchronous = {self._synchronous}")
+                if fresh or not self._writer.execute("PRAGMA user_version").fetchone()[0]:
+                    self._create()
+                self._reader = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
+                self._reader.execute("PRAGMA query_only = ON")
+                self.uuid: str = self._reader.execute("SELECT value FROM meta WHERE key = 'uuid'").fetchone()[0]
+                self._last_seq = self._reader.execute("SELECT coalesce(max(seq), 0) FROM events").fetchone()[0]
+            except BaseException:
+                self._writer.close()
+                raise
+        except (sqlite3.Error, OSError) as exc:
+            raise as_data_error(exc, self.path) from exc
+
+    def _check(self) -> None:
+        version = self._writer.execute("PRAGMA user_version").fetchone()[0]
+        tables = self._writer.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        application = self._writer.execute("PRAGMA application_id").fetchone()[0]
+        if tables and application != APPLICATION_ID:
+            raise JournalError("is a database of another program; give another --data", file=self.path)
+        if version > VERSION:
+            raise JournalError(
+                f"is of version {version}, this labdaemon knows up to {VERSION}; install the newer one", file=self.path
+            )
+        verdict = self._writer.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if verdict != "ok":
+            raise sqlite3.DatabaseError(f"malformed: {verdict}")
+
+    def _create(self) -> None:
+        with self._writer:
+            self._writer.execute("BEGIN IMMEDIATE")
+            for statement in TABLES.split(";\n"):
+                self._writer.execute(statement)
+            self._writer.execute("INSERT INTO meta VALUES ('uuid', ?)", (str(uuid.uuid4()),))
+            self._writer.execute("INSERT INTO meta VALUES ('created_at', ?)", (rfc3339(self._clock.now()),))
+            self._writer.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            self._writer.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def set_aside(path: Path, at: str) -> Path:
+    """Rename a damaged journal with what belongs to it, keeping every byte, and return its new place."""
+    stamp = at.replace(":", "").replace("-", "")
+    kept = path.with_name(f"{path.stem}.damaged-{stamp}{path.suffix}")
+    for suffix in ("-wal", "-shm", ""):
+        part = path.with_name(path.name + suffix)
+        if part.exists():
+            part.rename(kept.with_name(kept.name + suffix))
+    return kept

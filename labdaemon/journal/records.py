@@ -1,0 +1,199 @@
+"""Rows of the journal as values, and the states they go through.
+
+A campaign is ``queued`` → ``running`` ⇄ ``paused`` → ``completed`` | ``aborted`` | ``failed``; a step ``running`` →
+``completed`` | ``skipped``.
+
+A capture is ``intended`` (about to fire) → ``fired`` (shutters opened) → ``exposed`` (they have closed, and the table
+was still at its excitation: from here on the frames are worth keeping) → ``stored`` (every camera's frame is synced,
+its size and hash known) → ``measured``, or ``unmeasured`` when measuring failed for good. One that was interrupted
+before ``exposed`` is ``discarded`` and repeated under another name; its frames are set aside, never lost.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from labdaemon.journal.journal import Journal
+
+CampaignState = Literal["queued", "running", "paused", "completed", "aborted", "failed"]
+CaptureState = Literal["intended", "fired", "exposed", "stored", "measured", "unmeasured", "discarded"]
+FrameState = Literal["stored", "set_aside"]
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRecord:
+    """A campaign as submitted, and how far it is."""
+
+    id: str
+    number: int
+    name: str
+    toml: str
+    digest: str
+    state: CampaignState
+    reason: str | None
+    submitted_at: str
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """A step that has been started at least once."""
+
+    campaign: str
+    step: int
+    state: Literal["running", "completed", "skipped"]
+    attempts: int
+    reason: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureRecord:
+    """A capture: what it was meant to be, and what is known of its opening.
+
+    Attributes
+    ----------
+    shot
+        Its place among the step's shots.
+    label
+        The step's label, or what a person called a manual capture.
+    sharp
+        The sharp set it is measured against; None for the flat set, or when it is itself sharp.
+    grouped
+        Name under which it is measured jointly with others, None when on its own.
+    opening_s
+        Opening time of each camera after the release, where measured, seconds.
+    cameras
+        Names of the cameras that owe a frame.
+    """
+
+    campaign: str
+    name: str
+    step: int
+    shot: int
+    label: str
+    is_sharp: bool
+    sharp: str | None
+    grouped: str | None
+    state: CaptureState
+    frequency_hz: float | None
+    amplitude_mm: float | None
+    exposure_s: float
+    opened_at: str | None
+    opening_s: dict[str, float]
+    phase_rad: float | None
+    sd_phase_rad: float | None
+    cameras: tuple[str, ...]
+    reason: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """A frame on disk. `path` is relative to the data folder; `card_name` and `captured_at` are the camera's own."""
+
+    campaign: str
+    capture: str
+    camera: str
+    path: str
+    card_name: str
+    captured_at: str
+    size_bytes: int
+    sha256: str
+    state: FrameState
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRecord:
+    """An envelope's rows and the measurements behind it, as the result files carry them."""
+
+    campaign: str
+    name: str
+    envelope: list[dict[str, Any]]
+    measurements: list[dict[str, Any]]
+
+
+_CAMPAIGN = ", ".join(field.name for field in fields(CampaignRecord))
+_FRAME = ", ".join(field.name for field in fields(FrameRecord))
+_CAPTURE = ", ".join("opening" if field.name == "opening_s" else field.name for field in fields(CaptureRecord))
+
+
+def campaigns(journal: Journal, *states: CampaignState) -> list[CampaignRecord]:
+    """Campaigns in these states (any, if none is given), in the order of submission."""
+    marks = ",".join("?" * len(states))
+    where = f"WHERE state IN ({marks})" if states else ""
+    return [
+        CampaignRecord(*row)
+        for row in journal.read(f"SELECT {_CAMPAIGN} FROM campaigns {where} ORDER BY number", *states)
+    ]
+
+
+def campaign(journal: Journal, id: str) -> CampaignRecord | None:
+    """One campaign, None if there is none of this id."""
+    rows = journal.read(f"SELECT {_CAMPAIGN} FROM campaigns WHERE id = ?", id)
+    return CampaignRecord(*rows[0]) if rows else None
+
+
+def steps(journal: Journal, campaign: str) -> dict[int, StepRecord]:
+    """A campaign's started steps by index."""
+    rows = journal.read("SELECT campaign, step, state, attempts, reason FROM steps WHERE campaign = ?", campaign)
+    return {row[1]: StepRecord(*row) for row in rows}
+
+
+def captures(
+    journal: Journal, campaign: str | None = None, *states: CaptureState, step: int | None = None
+) -> list[CaptureRecord]:
+    """Captures of a campaign (or of all) in these states (or in any), by name."""
+    conditions, values = [], []
+    if campaign is not None:
+        conditions.append("campaign = ?")
+        values.append(campaign)
+    if step is not None:
+        conditions.append("step = ?")
+        values.append(str(step))
+    if states:
+        conditions.append(f"state IN ({','.join('?' * len(states))})")
+        values.extend(states)
+    where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+    rows = journal.read(f"SELECT {_CAPTURE} FROM captures {where} ORDER BY campaign, name", *values)
+    return [_capture(row) for row in rows]
+
+
+def frames(journal: Journal, campaign: str, capture: str) -> list[FrameRecord]:
+    """Frames of a capture, in the order in which they were stored."""
+    rows = journal.read(
+        f"SELECT {_FRAME} FROM frames WHERE campaign = ? AND capture = ? ORDER BY id", campaign, capture
+    )
+    return [FrameRecord(*row) for row in rows]
+
+
+def frame_of_card(journal: Journal, camera: str, card_name: str, captured_at: str) -> FrameRecord | None:
+    """The frame that this file on a camera's card was copied to, None if it was not copied yet."""
+    rows = journal.read(
+        f"SELECT {_FRAME} FROM frames WHERE camera = ? AND card_name = ? AND captured_at = ? ORDER BY id DESC LIMIT 1",
+        camera,
+        card_name,
+        captured_at,
+    )
+    return FrameRecord(*rows[0]) if rows else None
+
+
+def results(journal: Journal, campaign: str) -> list[ResultRecord]:
+    """A campaign's results in the order in which they were measured."""
+    rows = journal.read(
+        "SELECT campaign, name, envelope, measurements FROM results WHERE campaign = ? ORDER BY number", campaign
+    )
+    return [ResultRecord(row[0], row[1], json.loads(row[2]), json.loads(row[3])) for row in rows]
+
+
+def reply_to(journal: Journal, request_id: str) -> tuple[str, dict[str, Any]] | None:
+    """Method and reply of a request that was already carried out."""
+    rows = journal.read("SELECT method, reply FROM requests WHERE request_id = ?", request_id)
+    return (rows[0][0], json.loads(rows[0][1])) if rows else None
+
+
+def _capture(row: tuple[Any, ...]) -> CaptureRecord:
+    values = dict(zip((field.name for field in fields(CaptureRecord)), row, strict=True))
+    values["is_sharp"] = bool(values["is_sharp"])
+    values["opening_s"] = json.loads(values["opening_s"])
+    values["cameras"] = tuple(json.loads(values["cameras"]))
+    return CaptureRecord(**values)

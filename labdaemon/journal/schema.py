@@ -1,0 +1,90 @@
+"""The journal's tables, and which version of them this program reads.
+
+States change only together with the event that tells of it (see `labdaemon.journal.transitions`), so whoever has read
+all events knows the state, and a crash can leave neither without the other.
+"""
+
+from __future__ import annotations
+
+VERSION = 1
+"""Kept in SQLite's ``user_version``. A journal of a newer version is refused: its meaning is unknown here."""
+
+APPLICATION_ID = 0x6C616264
+"""``labd`` in SQLite's ``application_id``, so that another program's database is not taken for a journal."""
+
+TABLES = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE campaigns (
+    id TEXT PRIMARY KEY,
+    number INTEGER NOT NULL UNIQUE,
+    name TEXT NOT NULL,
+    toml TEXT NOT NULL,
+    digest TEXT NOT NULL,
+    state TEXT NOT NULL,
+    reason TEXT,
+    submitted_at TEXT NOT NULL
+) STRICT;
+CREATE TABLE steps (
+    campaign TEXT NOT NULL REFERENCES campaigns(id),
+    step INTEGER NOT NULL,
+    state TEXT NOT NULL,
+    attempts INTEGER NOT NULL,
+    reason TEXT,
+    PRIMARY KEY (campaign, step)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE captures (
+    campaign TEXT NOT NULL REFERENCES campaigns(id),
+    name TEXT NOT NULL,
+    step INTEGER NOT NULL,
+    shot INTEGER NOT NULL,
+    label TEXT NOT NULL,
+    is_sharp INTEGER NOT NULL,
+    sharp TEXT,
+    grouped TEXT,
+    state TEXT NOT NULL,
+    frequency_hz REAL,
+    amplitude_mm REAL,
+    exposure_s REAL NOT NULL,
+    opened_at TEXT,
+    opening TEXT NOT NULL DEFAULT '{}',
+    phase_rad REAL,
+    sd_phase_rad REAL,
+    cameras TEXT NOT NULL,
+    reason TEXT,
+    PRIMARY KEY (campaign, name)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE frames (
+    id INTEGER PRIMARY KEY,
+    campaign TEXT NOT NULL,
+    capture TEXT NOT NULL,
+    camera TEXT NOT NULL,
+    path TEXT NOT NULL UNIQUE,
+    card_name TEXT NOT NULL,
+    captured_at TEXT NOT NULL,
+    size_bytes INTEGER NOT NULL,
+    sha256 TEXT NOT NULL,
+    state TEXT NOT NULL
+) STRICT;
+CREATE INDEX frames_on_card ON frames (camera, card_name, captured_at);
+CREATE INDEX frames_of_capture ON frames (campaign, capture);
+CREATE TABLE results (
+    campaign TEXT NOT NULL,
+    name TEXT NOT NULL,
+    number INTEGER NOT NULL,
+    envelope TEXT NOT NULL,
+    measurements TEXT NOT NULL,
+    PRIMARY KEY (campaign, name)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE requests (
+    request_id TEXT PRIMARY KEY,
+    method TEXT NOT NULL,
+    reply TEXT NOT NULL
+) STRICT, WITHOUT ROWID;
+CREATE TABLE events (
+    seq INTEGER PRIMARY KEY,
+    at TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    campaign TEXT,
+    data TEXT NOT NULL
+) STRICT;
+"""

@@ -1,0 +1,232 @@
+"""Every change of state, each in one transaction with the event that tells of it.
+
+The transitions' names (first argument of `Journal.transaction`) are what crash tests kill the daemon at.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from labdaemon.journal.journal import Journal, Transaction
+from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
+
+CAMPAIGN_EVENTS: dict[CampaignState, str] = {
+    "running": "campaign.started",
+    "paused": "campaign.paused",
+    "completed": "campaign.completed",
+    "aborted": "campaign.aborted",
+    "failed": "campaign.failed",
+}
+
+
+def submit(journal: Journal, name: str, toml: str, digest: str, request_id: str | None = None) -> str:
+    """Queue a campaign and return its id; a `request_id` seen before answers the same and queues nothing."""
+    with journal.transaction("campaign.queued") as write:
+        if request_id is not None and (known := reply_to(journal, request_id)):
+            return str(known[1].get("campaign"))
+        number = write.execute("SELECT coalesce(max(number), 0) + 1 FROM campaigns").fetchone()[0]
+        slug = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "campaign"
+        id = f"{number:04d}-{slug[:60]}"
+        write.execute(
+            "INSERT INTO campaigns VALUES (?, ?, ?, ?, ?, 'queued', NULL, ?)", id, number, name, toml, digest, write.at
+        )
+        _answer(write, request_id, "campaign.submit", {"campaign": id})
+    return id
+
+
+def move_campaign(
+    journal: Journal, campaign: str, state: CampaignState, reason: str | None = None, **data: Any
+) -> None:
+    """Put a campaign into another state; running again after a pause is told as ``campaign.resumed``."""
+    kind = CAMPAIGN_EVENTS[state]
+    with journal.transaction(kind) as write:
+        before = write.execute("SELECT state FROM campaigns WHERE id = ?", campaign).fetchone()[0]
+        if before == "paused" and state == "running":
+            kind = "campaign.resumed"
+        write.execute("UPDATE campaigns SET state = ?, reason = ? WHERE id = ?", state, reason, campaign)
+        write.emit(kind, campaign, {**data, **({"reason": reason} if reason else {})})
+
+
+def accept_digest(journal: Journal, campaign: str, digest: str) -> None:
+    """Let a campaign go on under a changed rig, because a person said so."""
+    with journal.transaction("campaign.digest") as write:
+        write.execute("UPDATE campaigns SET digest = ? WHERE id = ?", digest, campaign)
+
+
+def start_step(journal: Journal, campaign: str, step: int, data: Mapping[str, Any]) -> int:
+    """Begin a step, or begin it again; returns which attempt this is, from 1."""
+    with journal.transaction("step.started") as write:
+        row = write.execute("SELECT attempts FROM steps WHERE campaign = ? AND step = ?", campaign, step).fetchone()
+        attempt = 1 + (row[0] if row else 0)
+        write.execute("INSERT OR REPLACE INTO steps VALUES (?, ?, 'running', ?, NULL)", campaign, step, attempt)
+        write.emit("step.started", campaign, {"step": step, "attempt": attempt, **data})
+    return attempt
+
+
+def end_step(journal: Journal, campaign: str, step: int, data: Mapping[str, Any], skipped: str | None = None) -> None:
+    """Complete a step, or skip it for the given reason."""
+    kind = "step.completed" if skipped is None else "step.skipped"
+    with journal.transaction(kind) as write:
+        state = kind.removeprefix("step.")
+        write.execute(
+            "INSERT INTO steps VALUES (?, ?, ?, 0, ?) "
+            "ON CONFLICT DO UPDATE SET state = excluded.state, reason = excluded.reason",
+            campaign,
+            step,
+            state,
+            skipped,
+        )
+        write.emit(kind, campaign, {"step": step, **data, **({"reason": skipped} if skipped is not None else {})})
+
+
+def intend_capture(journal: Journal, capture: CaptureRecord) -> None:
+    """Note a capture before it is fired, so that a frame found later on a card has something to belong to."""
+    with journal.transaction("capture.intended") as write:
+        write.execute(
+            "INSERT INTO captures VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'intended', ?, ?, ?, NULL, '{}', NULL, NULL, ?, NULL)",
+            capture.campaign,
+            capture.name,
+            capture.step,
+            capture.shot,
+            capture.label,
+            int(capture.is_sharp),
+            capture.sharp,
+            capture.grouped,
+            capture.frequency_hz,
+            capture.amplitude_mm,
+            capture.exposure_s,
+            json.dumps(capture.cameras),
+        )
+
+
+def fire_capture(
+    journal: Journal,
+    campaign: str,
+    name: str,
+    *,
+    opened_at: str,
+    opening_s: Mapping[str, float],
+    phase_rad: float | None,
+    sd_phase_rad: float | None,
+    request_id: str | None = None,
+) -> None:
+    """Note when and at which phase the shutters opened; answers the request that asked for it."""
+    with journal.transaction("capture.fired") as write:
+        write.execute(
+            "UPDATE captures SET state = 'fired', opened_at = ?, opening = ?, phase_rad = ?, sd_phase_rad = ? "
+            "WHERE campaign = ? AND name = ?",
+            opened_at,
+            json.dumps(dict(opening_s)),
+            phase_rad,
+            sd_phase_rad,
+            campaign,
+            name,
+        )
+        _answer(write, request_id, "capture", {"capture": name, "opened_at": opened_at})
+
+
+def expose_capture(journal: Journal, campaign: str, name: str) -> None:
+    """The shutters have closed and the excitation had not changed: the frames are worth keeping."""
+    with journal.transaction("capture.exposed") as write:
+        write.execute("UPDATE captures SET state = 'exposed' WHERE campaign = ? AND name = ?", campaign, name)
+
+
+def store_frame(journal: Journal, frame: FrameRecord) -> None:
+    """Vouch for a frame that is synced under its final name. After this, and not before, its card may be cleared."""
+    with journal.transaction("frame.stored") as write:
+        write.execute(
+            "INSERT OR REPLACE INTO frames (campaign, capture, camera, path, card_name, captured_at, size_bytes, "
+            "sha256, state) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            frame.campaign,
+            frame.capture,
+            frame.camera,
+            frame.path,
+            frame.card_name,
+            frame.captured_at,
+            frame.size_bytes,
+            frame.sha256,
+            frame.state,
+        )
+
+
+def complete_capture(journal: Journal, campaign: str, name: str, data: Mapping[str, Any]) -> None:
+    """Every camera's frame is stored."""
+    with journal.transaction("capture.completed") as write:
+        write.execute("UPDATE captures SET state = 'stored' WHERE campaign = ? AND name = ?", campaign, name)
+        write.emit("capture.completed", campaign, {"capture": name, **data})
+
+
+def discard_capture(journal: Journal, campaign: str, name: str, reason: str, moved: Mapping[str, str]) -> None:
+    """Give a capture up; `moved` tells the new paths of its frames, which are set aside and kept."""
+    with journal.transaction("capture.discarded") as write:
+        write.execute(
+            "UPDATE captures SET state = 'discarded', reason = ? WHERE campaign = ? AND name = ?",
+            reason,
+            campaign,
+            name,
+        )
+        for old, new in moved.items():
+            write.execute("UPDATE frames SET path = ?, state = 'set_aside' WHERE path = ?", new, old)
+
+
+def record_result(
+    journal: Journal,
+    campaign: str,
+    name: str,
+    members: Sequence[str],
+    *,
+    envelope: list[dict[str, Any]],
+    measurements: list[dict[str, Any]],
+    event: Mapping[str, Any],
+) -> bool:
+    """Keep an envelope and publish it, once: False, and nothing changed, if it had been kept before.
+
+    `name` is the capture's, or its group's; `members` are the captures that it was measured from.
+    """
+    with journal.transaction("envelope") as write:
+        if write.execute("SELECT 1 FROM results WHERE campaign = ? AND name = ?", campaign, name).fetchone():
+            return False
+        number = write.execute("SELECT coalesce(max(number), 0) + 1 FROM results WHERE campaign = ?", campaign)
+        write.execute(
+            "INSERT INTO results VALUES (?, ?, ?, ?, ?)",
+            campaign,
+            name,
+            number.fetchone()[0],
+            _json(envelope),
+            _json(measurements),
+        )
+        for member in members:
+            write.execute("UPDATE captures SET state = 'measured' WHERE campaign = ? AND name = ?", campaign, member)
+        write.emit("envelope", campaign, dict(event))
+    return True
+
+
+def give_up_measuring(journal: Journal, campaign: str, members: Sequence[str], fault: Mapping[str, Any]) -> None:
+    """Captures whose frames are stored but cannot be measured; they are kept, and told as a fault."""
+    with journal.transaction("capture.unmeasured") as write:
+        for member in members:
+            write.execute(
+                "UPDATE captures SET state = 'unmeasured', reason = ? WHERE campaign = ? AND name = ?",
+                str(fault.get("message", "")),
+                campaign,
+                member,
+            )
+        write.emit("fault", campaign, dict(fault))
+
+
+def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> None:
+    """Tell of a fault; `data` says on which device, what happened and what is done about it."""
+    with journal.transaction("fault") as write:
+        write.emit("fault", campaign, dict(data))
+
+
+def _answer(write: Transaction, request_id: str | None, method: str, reply: Mapping[str, Any]) -> None:
+    if request_id is not None:
+        write.execute("INSERT OR REPLACE INTO requests VALUES (?, ?, ?)", request_id, method, json.dumps(reply))
+
+
+def _json(rows: list[dict[str, Any]]) -> str:
+    return json.dumps(rows, allow_nan=False, separators=(",", ":"))
