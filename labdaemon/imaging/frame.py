@@ -1,0 +1,208 @@
+"""A camera's file as linear sensor values: what every later step measures on.
+
+Values stay the sensor's own counts, undemosaiced: demosaicing invents edge gradients and a tone curve breaks the
+proportion between time and darkness. The colour filter is only a gain per channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.blur.pixels import FloatArray, Patch
+from labdaemon.errors import DataError
+from labdaemon.imaging.hot import isolated
+
+SATURATION_MARGIN = 0.01
+"""Fraction of the range below white level from where on a pixel no longer counts as linear."""
+
+Grey = NDArray[np.float32]
+T = TypeVar("T", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawFrame:
+    """One camera's frame, or the mean of several.
+
+    Attributes
+    ----------
+    path
+        Where it was read from (the first file of a mean).
+    values
+        (h, w) counts as the sensor gave them, black not subtracted; uint16, or float32 for a mean of frames.
+    pattern
+        (ph, pw) uint8, repeated over the frame from its top-left pixel: each pixel's colour channel, 0 throughout for
+        a grey sensor, 0..3 for a Bayer mosaic, where the two greens are two channels.
+    black
+        (bh, bw) float64, repeated likewise: black level, DN. Some files carry one value for every pixel.
+    white_level
+        Counts at which the sensor or its converter clips.
+    masked
+        (h, w) bool of pixels known to be unusable (clipped in one of the averaged frames), or None.
+    frames
+        How many frames were averaged; the noise variance is that of one divided by it.
+    taken_at, serial, exposure_s
+        From the file's metadata: the camera's clock, the body's serial number, the exposure; None or empty if absent.
+    """
+
+    path: Path
+    values: NDArray[np.uint16] | Grey
+    pattern: NDArray[np.uint8]
+    black: FloatArray
+    white_level: float
+    masked: NDArray[np.bool_] | None = None
+    frames: int = 1
+    taken_at: datetime | None = None
+    serial: str = ""
+    exposure_s: float | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height), as `image_size` in a rig file."""
+        height, width = self.values.shape
+        return width, height
+
+    @property
+    def channels(self) -> int:
+        """Number of colour channels: 1 for a grey sensor, 4 for a Bayer mosaic."""
+        return int(self.pattern.max()) + 1
+
+    @property
+    def saturation_dn(self) -> float:
+        """Counts (black included) from which a pixel is taken as saturated."""
+        return self.white_level - SATURATION_MARGIN * (self.white_level - float(self.black.mean()))
+
+    def saturated(self) -> NDArray[np.bool_]:
+        """(h, w) bool: clipped, here or in one of the averaged frames."""
+        clipped: NDArray[np.bool_] = self.values >= self.saturation_dn
+        return clipped if self.masked is None else clipped | self.masked
+
+    def channel(self, x0: int, y0: int, w: int, h: int) -> NDArray[np.uint8]:
+        """(h, w) colour channel of each pixel of a rectangle, which may reach beyond the frame."""
+        return _tile(self.pattern, x0, y0, w, h)
+
+    def patch(self, x0: int, y0: int, w: int, h: int) -> Patch:
+        """Cut a rectangle: counts above black, with saturated, hot and off-frame pixels marked invalid.
+
+        Parameters
+        ----------
+        x0, y0
+            Its top-left pixel in the frame; may be negative.
+        w, h
+            Its size, px.
+        """
+        width, height = self.size
+        # Two more pixels all round, so that a hot pixel at the rim has neighbours of its own colour to differ from.
+        ax, ay, bx, by = (max(x0 - 2, 0), max(y0 - 2, 0), min(x0 + w + 2, width), min(y0 + h + 2, height))
+        values, valid = np.zeros((h, w)), np.zeros((h, w), dtype=np.bool_)
+        if bx > ax and by > ay:
+            raw = self.values[ay:by, ax:bx]
+            good = raw < self.saturation_dn
+            if self.masked is not None:
+                good &= ~self.masked[ay:by, ax:bx]
+            light = raw - _tile(self.black, ax, ay, bx - ax, by - ay)
+            good &= ~isolated(light, 2 if self.channels > 1 else 1)
+            ty, tx = slice(max(ay, y0) - y0, min(by, y0 + h) - y0), slice(max(ax, x0) - x0, min(bx, x0 + w) - x0)
+            sy, sx = slice(max(ay, y0) - ay, min(by, y0 + h) - ay), slice(max(ax, x0) - ax, min(bx, x0 + w) - ax)
+            if tx.stop > tx.start and ty.stop > ty.start:
+                values[ty, tx], valid[ty, tx] = light[sy, sx], good[sy, sx]
+        return Patch(values=values, channel=self.channel(x0, y0, w, h), valid=valid, origin_px=(x0, y0))
+
+    def whole(self) -> Patch:
+        """The whole frame as one patch (80 bytes a pixel: for small frames and notebooks)."""
+        width, height = self.size
+        return self.patch(0, 0, width, height)
+
+    def gains(self) -> FloatArray:
+        """(channels,) factor for each colour channel (at least 1) that makes the frame's bright neutral surfaces grey.
+
+        Estimated on cells of the mosaic between the 70th and the 99th percentile of brightness and below saturation, as
+        the median ratio of the cells' mean to the channel: white paper is what is bright in these scenes.
+        """
+        if self.channels == 1:
+            return np.ones(1)
+        ph, pw = self.pattern.shape
+        height, width = self.values.shape
+        step = max(1, int(np.sqrt(height * width / (ph * pw) / 200_000)))
+        rows = slice(0, height // ph * ph)
+        cols = slice(0, width // pw * pw)
+        cells = self.values[rows, cols].reshape(height // ph, ph, width // pw, pw)[::step, :, ::step, :]
+        flat = cells.transpose(1, 3, 0, 2).reshape(ph * pw, -1).astype(np.float64)
+        black = _tile(self.black, 0, 0, pw, ph).ravel()
+        usable = (flat < self.saturation_dn).all(axis=0)
+        light = (flat - black[:, None])[:, usable]
+        if light.shape[1] < 16:
+            return np.ones(self.channels)
+        mean = light.mean(axis=0)
+        low, high = np.percentile(mean, (70.0, 99.0))
+        bright = (mean >= low) & (mean <= high) & (mean > 0)
+        result = np.ones(self.channels)
+        for place, channel in enumerate(self.pattern.ravel()):
+            ratio = np.median(light[place, bright] / mean[bright]) if bright.any() else 1.0
+            result[channel] = 1.0 / ratio if ratio > 0.02 else 1.0
+        return result / result.min()
+
+    def grey(self) -> Grey:
+        """(h, w) float32: the mosaic as one image at full resolution, in parts of the range from black to white.
+
+        For finding things and drawing them; measurements are made on `patch`. Each channel is multiplied by its gain and
+        the result clipped at 1, since beyond it some channel may have clipped.
+        """
+        height, width = self.values.shape
+        gains = self.gains()
+        scale = gains[self.pattern] / (self.white_level - float(self.black.mean()))
+        out = np.empty((height, width), dtype=np.float32)
+        if self.black.shape == self.values.shape:
+            np.subtract(self.values, self.black, out=out, casting="unsafe")
+            offset = np.zeros(scale.shape)
+        else:
+            out[...] = self.values
+            ph, pw = (int(np.lcm(a, b)) for a, b in zip(self.black.shape, scale.shape, strict=True))
+            scale, offset = _tile(scale, 0, 0, pw, ph), _tile(self.black, 0, 0, pw, ph)
+        ph, pw = scale.shape
+        for row in range(ph):
+            out[row::ph] -= _tile(offset[row : row + 1], 0, 0, width, 1).astype(np.float32)
+            out[row::ph] *= _tile(scale[row : row + 1], 0, 0, width, 1).astype(np.float32)
+        return np.minimum(out, 1.0, out=out)
+
+
+def _tile(pattern: NDArray[T], x0: int, y0: int, w: int, h: int) -> NDArray[T]:
+    """Repeat `pattern`, whose origin is pixel (0, 0), over a rectangle."""
+    ph, pw = pattern.shape
+    return pattern[np.ix_(np.arange(y0, y0 + h) % ph, np.arange(x0, x0 + w) % pw)]
+
+
+def mean_frame(frames: Sequence[RawFrame]) -> RawFrame:
+    """Average sharp frames of one set: same camera, nothing moved.
+
+    Raises
+    ------
+    DataError
+        The frames differ in size, colour filter or white level.
+    """
+    first = frames[0]
+    if len(frames) == 1:
+        return first
+    for other in frames[1:]:
+        if other.size != first.size:
+            raise DataError(
+                f"is {other.size[0]}x{other.size[1]}, but {first.path.name} of the same set is "
+                f"{first.size[0]}x{first.size[1]}; only frames of one camera are averaged",
+                file=other.path,
+            )
+        if not np.array_equal(other.pattern, first.pattern) or other.white_level != first.white_level:
+            raise DataError(
+                f"comes from another sensor than {first.path.name}; keep them in separate sets", file=other.path
+            )
+    total = np.zeros(first.values.shape, dtype=np.float32)
+    masked = np.zeros(first.values.shape, dtype=np.bool_)
+    for frame in frames:
+        total += frame.values
+        masked |= frame.saturated()
+    return replace(first, values=total / np.float32(len(frames)), masked=masked, frames=len(frames))

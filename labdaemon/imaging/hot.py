@@ -1,0 +1,39 @@
+"""Hot and dead pixels: single ones that stand out from all neighbours of their own colour."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.blur.pixels import FloatArray
+
+
+def isolated(values: FloatArray, spacing: int) -> NDArray[np.bool_]:
+    """Pixels beyond the largest or below the smallest of their eight neighbours by more than the noise explains.
+
+    A lens blurs every real detail over its neighbours, so a single pixel that exceeds all of them is the sensor's own.
+
+    Parameters
+    ----------
+    values
+        (h, w) counts above black, DN.
+    spacing
+        Distance to the next pixel of the same colour: 2 on a Bayer mosaic, 1 on a grey sensor.
+
+    Returns
+    -------
+    (h, w) bool. The limit is six robust standard deviations of the difference between a pixel and its neighbours'
+    mean, plus 4 DN for quantisation.
+    """
+    kernel = np.zeros((2 * spacing + 1, 2 * spacing + 1), dtype=np.uint8)
+    kernel[::spacing, ::spacing] = 1
+    kernel[spacing, spacing] = 0
+    image = values.astype(np.float32)
+    above = image - cv2.dilate(image, kernel, borderType=cv2.BORDER_REFLECT_101)
+    below = cv2.erode(image, kernel, borderType=cv2.BORDER_REFLECT_101) - image
+    mean = cv2.filter2D(image, -1, kernel / np.float32(8), borderType=cv2.BORDER_REFLECT_101)
+    # Edges make the difference large in few pixels; the median of its size is the noise's.
+    limit = 6.0 * 1.4826 * float(np.median(np.abs(image - mean))) + 4.0
+    result: NDArray[np.bool_] = np.maximum(above, below) > limit
+    return result
