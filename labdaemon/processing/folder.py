@@ -1,0 +1,219 @@
+"""A data-set folder on disk: which files belong to which camera, sharp set and capture.
+
+Nothing is decoded here; files are only found, named and checked against each other, so that every complaint about
+a folder comes before work begins.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from labdaemon.blur.motion import Window
+from labdaemon.errors import ConfigError, DataError
+from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_misspelt
+from labdaemon.processing.survey import ControlPoint, TargetPlace, read_control, read_targets
+
+NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
+TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
+
+
+class CameraOpening(BaseModel):
+    """What one body's own shutter did, where it was measured."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    phase_rad: Finite | None = None
+    exposure_s: Positive | None = None
+
+
+class CaptureFile(BaseModel):
+    """`capture.toml`: what is known of one capture."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    frequency_hz: Positive | None = None
+    exposure_s: Positive | None = None
+    phase_rad: Finite | None = None
+    sd_phase_rad: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    sd_exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    group: str | None = None
+    sharp: str | None = None
+    cameras: dict[str, CameraOpening] = {}
+
+    def window(self, camera: str) -> Window | None:
+        """The exposure as this camera saw it; None unless frequency and exposure are both known."""
+        own = self.cameras.get(camera, CameraOpening())
+        exposure_s = own.exposure_s if own.exposure_s is not None else self.exposure_s
+        if self.frequency_hz is None or exposure_s is None:
+            return None
+        phase_rad = own.phase_rad if own.phase_rad is not None else self.phase_rad
+        return Window(self.frequency_hz, exposure_s, phase_rad, self.sd_phase_rad, self.sd_exposure_s)
+
+
+@dataclass(frozen=True, slots=True)
+class SharpFiles:
+    """One sharp set: per camera the frames to average. `name` is "" for the flat set."""
+
+    name: str
+    at_rest: bool
+    frames: Mapping[str, tuple[Path, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFiles:
+    """One capture: a frame a camera, and what is known of the exposure."""
+
+    name: str
+    frames: Mapping[str, Path]
+    about: CaptureFile
+
+
+@dataclass(frozen=True, slots=True)
+class DataFolder:
+    """A data-set folder, read and checked but not decoded."""
+
+    root: Path
+    rig: RigFile
+    control: tuple[ControlPoint, ...]
+    targets: tuple[TargetPlace, ...]
+
+    def sharp(self, name: str | None = None) -> SharpFiles:
+        """Files of a sharp set: the named one, else the flat one.
+
+        Raises
+        ------
+        DataError
+            The set or one of its cameras is missing.
+        """
+        base = self.root / "sharp"
+        where = base / _plain(name, "sharp", self.root) if name else base
+        if not where.is_dir():
+            raise DataError("the sharp set is missing", file=where)
+        found = _frames_in(where, tuple(self.rig.cameras), several=True)
+        if not found and not name:
+            sets = sorted(p.name for p in base.iterdir() if p.is_dir())
+            hint = f"; name one of its sets ({', '.join(sets)}) as `sharp` in capture.toml" if sets else ""
+            raise DataError(f"holds no sharp frame{hint}", file=where)
+        missing = [camera for camera in self.rig.cameras if camera not in found]
+        if missing:
+            raise DataError(f"no sharp frame of camera {missing[0]}", file=where)
+        return SharpFiles(name or "", _at_rest(where), found)
+
+    def capture_names(self) -> tuple[str, ...]:
+        """All captures, in the order of their names."""
+        base = self.root / "captures"
+        if not base.is_dir():
+            raise DataError("the folder has no captures", file=base)
+        names = tuple(sorted(p.name for p in base.iterdir() if p.is_dir() and not p.name.startswith(".")))
+        if not names:
+            raise DataError("the folder has no captures", file=base)
+        return names
+
+    def capture(self, name: str) -> CaptureFiles:
+        """Files of a capture.
+
+        Raises
+        ------
+        DataError, ConfigError
+            A camera's frame is missing or strange, or `capture.toml` is wrong.
+        """
+        where = self.root / "captures" / _plain(name, "capture", self.root)
+        if not where.is_dir():
+            raise DataError("no such capture", file=where)
+        frames = {camera: files[0] for camera, files in _frames_in(where, tuple(self.rig.cameras), several=False).items()}
+        missing = [camera for camera in self.rig.cameras if camera not in frames]
+        if missing:
+            raise DataError(f"no frame of camera {missing[0]}", file=where)
+        return CaptureFiles(name, frames, _read_capture(where / "capture.toml", tuple(self.rig.cameras)))
+
+
+def open_folder(root: Path) -> DataFolder:
+    """Read a data-set folder's rig file and survey.
+
+    Raises
+    ------
+    DataError, ConfigError
+        One line naming the file at fault.
+    """
+    if not root.is_dir():
+        raise DataError("is not a folder", file=root)
+    rig = read_rig(root / "rig.toml")
+    control = read_control(root / "control.csv", rig.control.size_mm)
+    places = root / "targets.csv"
+    return DataFolder(root, rig, control, read_targets(places, control) if places.exists() else ())
+
+
+def _plain(name: str, what: str, root: Path) -> str:
+    """A name that stays inside its folder."""
+    if not name or name in {".", ".."} or "/" in name or "\\" in name or "\0" in name:
+        raise DataError(f"{name!r} cannot name a {what}", file=root)
+    return name
+
+
+def _frames_in(where: Path, cameras: tuple[str, ...], *, several: bool) -> dict[str, tuple[Path, ...]]:
+    """Find each camera's frames: CAMERA.ext and, where `several`, CAMERA-2.ext, CAMERA-3.ext … in that order."""
+    found: dict[str, dict[int, Path]] = {}
+    pictures: dict[str, Path] = {}
+    for path in sorted(where.iterdir()):
+        suffix = path.suffix.lower()
+        if path.is_dir() or path.name.startswith(".") or suffix in NOT_FRAMES:
+            continue
+        camera, number = _whose(path.stem, cameras, several)
+        if suffix in TONE_MAPPED:
+            pictures.setdefault(camera or path.stem, path)
+            continue
+        if camera is None:
+            known = ", ".join(cameras)
+            raise DataError(f"belongs to no camera of rig.toml ({known}); rename or remove it", file=path)
+        if number in found.setdefault(camera, {}):
+            raise DataError(f"a second frame of camera {camera} beside {found[camera][number].name}", file=path)
+        found[camera][number] = path
+    for camera, path in pictures.items():
+        if camera in cameras and camera not in found:
+            raise DataError(
+                "a JPEG or other tone-mapped picture cannot be measured; give the camera's RAW file", file=path
+            )
+    return {camera: tuple(found[camera][n] for n in sorted(found[camera])) for camera in cameras if camera in found}
+
+
+def _whose(stem: str, cameras: tuple[str, ...], several: bool) -> tuple[str | None, int]:
+    if stem in cameras:
+        return stem, 1
+    match = re.fullmatch(r"(.+)-([1-9]\d*)", stem)
+    if several and match and match[1] in cameras:
+        return match[1], int(match[2])
+    return None, 0
+
+
+def _at_rest(where: Path) -> bool:
+    path = where / "set.toml"
+    if not path.exists():
+        return True
+    table = read_toml(path)
+    refuse_misspelt(table, frozenset({"at_rest"}), path)
+    value: Any = table.get("at_rest", True)
+    if not isinstance(value, bool):
+        raise ConfigError("must be true or false", source=path, key="at_rest")
+    return value
+
+
+def _read_capture(path: Path, cameras: tuple[str, ...]) -> CaptureFile:
+    if not path.exists():
+        return CaptureFile()
+    table = read_toml(path)
+    refuse_misspelt(table, frozenset(CaptureFile.model_fields), path)
+    try:
+        about = CaptureFile.model_validate(table)
+    except ValidationError as exc:
+        raise one_line(exc, path) from None
+    strange = sorted(set(about.cameras) - set(cameras))
+    if strange:
+        raise ConfigError("is no camera of rig.toml", source=path, key=f"cameras.{strange[0]}")
+    for key, name in (("group", about.group), ("sharp", about.sharp)):
+        if name is not None and (not name or "/" in name or name in {".", ".."}):
+            raise ConfigError(f"{name!r} cannot be a name", source=path, key=key)
+    return about

@@ -1,0 +1,173 @@
+"""Worker processes that measure frames: started clean, given paths rather than pictures, never trusted to survive.
+
+A task that kills its worker, or outstays its deadline, is given one more chance in a new pool; after that the input
+is at fault and the caller gets a `DataError`. Tasks that shared the broken pool are simply run again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import multiprocessing.forkserver
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.queues import SimpleQueue
+from typing import ParamSpec, TypeVar
+
+from labdaemon.errors import DataError, LabdaemonError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""One core a worker: numpy, OpenCV and LibRaw each bring threads of their own, which only fight for the cores."""
+
+
+@contextlib.contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _start_worker(pids: SimpleQueue[int]) -> None:
+    """First thing a worker does. Ctrl-C reaches the whole process group; what to do about it is the parent's affair."""
+    import cv2
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.update(ONE_THREAD)
+    cv2.setNumThreads(1)
+    pids.put(os.getpid())
+
+
+class _WorkerLost(Exception):
+    """A task did not end by itself; the text says what became of it."""
+
+
+class _Generation:
+    """One set of worker processes, from its start until it breaks or is closed."""
+
+    def __init__(self, workers: int) -> None:
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["labdaemon.processing"])
+        with _environment(ONE_THREAD):
+            multiprocessing.forkserver.ensure_running()
+        self._pids: SimpleQueue[int] = context.SimpleQueue()
+        self.executor = ProcessPoolExecutor(workers, context, _start_worker, (self._pids,))
+
+    def run(self, function: Callable[P, R], deadline_s: float, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run one task to its end, its own exception, or `_WorkerLost`."""
+        try:
+            future = self.executor.submit(function, *args, **kwargs)
+        except RuntimeError as exc:  # broken or shut down by a neighbour since it was picked
+            raise _WorkerLost("lost its worker process") from exc
+        try:
+            return future.result(deadline_s)
+        except TimeoutError as exc:
+            if future.done():
+                raise
+            raise _WorkerLost(f"took longer than {deadline_s:g} s") from exc
+        except (BrokenProcessPool, CancelledError) as exc:
+            raise _WorkerLost("killed its worker process") from exc
+
+    def kill(self) -> None:
+        """Kill every worker: the executor then fails all that is pending with `BrokenProcessPool`."""
+        while not self._pids.empty():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pids.get(), signal.SIGKILL)
+        self.executor.shutdown(wait=False, cancel_futures=True)
+
+
+class WorkerPool:
+    """A pool of worker processes that outlives its workers.
+
+    Parameters
+    ----------
+    workers
+        Number of processes; 0 for one a core.
+    deadline_s
+        How long a task may run once it has begun, before its workers are killed.
+    """
+
+    def __init__(self, workers: int = 0, *, deadline_s: float = 300.0) -> None:
+        self.workers = workers or len(os.sched_getaffinity(0))
+        self.deadline_s = deadline_s
+        self._lock = threading.Lock()
+        self._generation: _Generation | None = None
+        self._closed = False
+        # One thread waits for each task in flight, so no task ever queues inside the executor with its clock running.
+        self._waiters = ThreadPoolExecutor(self.workers, thread_name_prefix="pool")
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def submit(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """Run a module-level function on picklable arguments in a worker.
+
+        Returns
+        -------
+        Future
+            Its result, or the exception it raised; `DataError` if it took its worker with it, or overran its
+            deadline, twice.
+        """
+        return self._waiters.submit(self._run, function, *args, **kwargs)
+
+    def close(self) -> None:
+        """Kill the workers and wait for the waiting threads."""
+        with self._lock:
+            self._closed = True
+            generation, self._generation = self._generation, None
+        if generation is not None:
+            generation.kill()
+        self._waiters.shutdown(wait=True, cancel_futures=True)
+
+    def _current(self) -> _Generation:
+        with self._lock:
+            if self._closed:
+                raise LabdaemonError("the worker pool is closed")
+            if self._generation is None:
+                self._generation = _Generation(self.workers)
+            return self._generation
+
+    def _retire(self, generation: _Generation) -> None:
+        with self._lock:
+            if self._generation is generation:
+                self._generation = None
+        generation.kill()
+
+    def _run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        generation = self._current()
+        try:
+            return generation.run(function, self.deadline_s, *args, **kwargs)
+        except _WorkerLost:
+            self._retire(generation)
+        if self._closed:
+            raise LabdaemonError("the worker pool is closed")
+        # The second chance is taken alone, so that a task is never blamed for what a neighbour did to the pool.
+        alone = _Generation(1)
+        try:
+            return alone.run(function, self.deadline_s, *args, **kwargs)
+        except _WorkerLost as exc:
+            name = getattr(function, "__name__", "task")
+            raise DataError(f"{name} {exc} twice; the input is at fault: {_describe(args)}") from None
+        finally:
+            alone.kill()
+
+
+def _describe(args: tuple[object, ...]) -> str:
+    paths = [str(arg) for arg in args if isinstance(arg, (os.PathLike, str))]
+    return ", ".join(paths) or "see the log"

@@ -1,0 +1,261 @@
+"""Find each target again in a blurred frame, where its mean position may be many dots away from rest.
+
+Most frames show every target near its rest position, and a look around each of them is enough. Where one is missing
+(or two find the same smear) every smear of the frame is listed, and a field of displacements that is nearly affine
+over the structure says which is whose: neighbours on a structure move alike, and a smear has one owner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+
+from labdaemon.blur.pixels import FloatArray
+from labdaemon.processing.smears import Filter, Picture, Smear, all_smears, best_smear, filters, reduce
+
+LEAST_SCORE = 0.6
+"""Correlation below which a place does not look like a dot. Real labels with a rim near the dot score 0.75 to 0.97."""
+CONTRAST_RATIO = (0.5, 1.8)
+"""How far the contrast may differ from the sharp frame's: light changes by less, clutter by more."""
+NARROW_RADII = 1.5
+"""How far around its place a target is looked for at first, in dot radii."""
+STRAIN = 0.25
+"""Largest displacement gradient over the structure."""
+SAMPLES = 3000
+CHOICES = 10
+"""Smears a target is tried with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sought:
+    """A target to find.
+
+    Attributes
+    ----------
+    centre_px
+        (2,) where it would be if it had not moved.
+    semi_major_px, semi_minor_px, angle_rad
+        Its ellipse.
+    contrast
+        Paper less ink in the sharp frame, in the picture's units.
+    """
+
+    centre_px: FloatArray
+    semi_major_px: float
+    semi_minor_px: float
+    angle_rad: float
+    contrast: float
+
+    @property
+    def radius_px(self) -> float:
+        return (self.semi_major_px + self.semi_minor_px) / 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """A grey picture made small enough to search, and how much."""
+
+    picture: Picture
+    scale: int
+
+    def shapes(self, target: Sought) -> tuple[Filter, ...]:
+        """Filters for a target's ellipse, rounded so that equal dots share them."""
+        major, minor = (max(round(4 * v / self.scale) / 4, 1.0) for v in (target.semi_major_px, target.semi_minor_px))
+        angle = round(target.angle_rad / np.radians(10)) * np.radians(10) if major > minor else 0.0
+        return filters(major, minor, float(angle))
+
+
+def reduced_for(grey: Picture, targets: Sequence[Sought]) -> Reduced:
+    """Reduce a picture until the smallest dot is some seven pixels across."""
+    scale = max(1, int(min(target.semi_minor_px for target in targets) / 3.5)) if targets else 1
+    return Reduced(reduce(grey, scale), scale)
+
+
+def measure_contrast(grey: Picture, targets: Sequence[Sought]) -> FloatArray:
+    """Contrast of each target in the frame it is sharp in, (n,), to be compared with later frames."""
+    if not targets:
+        return np.empty(0)
+    small = reduced_for(grey, targets)
+    found = [best_smear(small.picture, small.scale, t.centre_px, t.radius_px / 2, small.shapes(t)[:1]) for t in targets]
+    return np.array([smear.contrast if smear else np.nan for smear in found])
+
+
+def find_again(grey: Picture, targets: Sequence[Sought]) -> list[Smear | None]:
+    """Find each target's smear.
+
+    Parameters
+    ----------
+    grey
+        (h, w) blurred frame, colours balanced.
+    targets
+        What to look for.
+
+    Returns
+    -------
+    list of Smear or None
+        In the order of `targets`; None where there is nothing like it.
+    """
+    if not targets:
+        return []
+    small = reduced_for(grey, targets)
+    near = _look_near(small, targets)
+    if all(smear is not None for smear in near) and not _shared(near, targets):
+        return near
+    wide = _look_everywhere(small, targets)
+    return wide if _total(wide) > _total(_without_shared(near, targets)) else _without_shared(near, targets)
+
+
+def _total(found: Sequence[Smear | None]) -> float:
+    return sum(smear.score for smear in found if smear is not None)
+
+
+def likely(smear: Smear, target: Sought) -> bool:
+    """Whether a smear could be this target's: dot-like and of its contrast."""
+    low, high = CONTRAST_RATIO
+    return smear.score >= LEAST_SCORE and low * target.contrast < smear.contrast < high * target.contrast
+
+
+def _look_near(small: Reduced, targets: Sequence[Sought]) -> list[Smear | None]:
+    found: list[Smear | None] = []
+    for target in targets:
+        reach = NARROW_RADII * target.radius_px
+        smear = best_smear(small.picture, small.scale, target.centre_px, reach, small.shapes(target))
+        found.append(smear if smear is not None and likely(smear, target) else None)
+    return found
+
+
+def _shared(found: Sequence[Smear | None], targets: Sequence[Sought]) -> set[int]:
+    """Targets that found a smear which another one has found, too, and which lies nearer to the other."""
+    owners = [i for i, smear in enumerate(found) if smear is not None]
+    losers: set[int] = set()
+    if len(owners) < 2:
+        return losers
+    places = np.array([smear.centre_px for smear in found if smear is not None])
+    reach = min(target.radius_px for target in targets)
+    for p, q in KDTree(places).query_pairs(reach):
+        i, j = owners[p], owners[q]
+        moved = [float(np.hypot(*(places[k] - targets[owners[k]].centre_px))) for k in (p, q)]
+        losers.add(i if moved[0] > moved[1] else j)
+    return losers
+
+
+def _without_shared(found: Sequence[Smear | None], targets: Sequence[Sought]) -> list[Smear | None]:
+    losers = _shared(found, targets)
+    return [None if i in losers else smear for i, smear in enumerate(found)]
+
+
+def _look_everywhere(small: Reduced, targets: Sequence[Sought]) -> list[Smear | None]:
+    """List all smears of the frame, find the displacement field that explains most targets, and assign."""
+    places = np.array([target.centre_px for target in targets])
+    smears: list[Smear] = []
+    owner_shapes: list[int] = []
+    shapes_of: dict[int, tuple[Filter, ...]] = {}
+    for target in targets:
+        shapes_of.setdefault(id(small.shapes(target)), small.shapes(target))
+    for key, shapes in shapes_of.items():
+        listed = all_smears(small.picture, small.scale, shapes, LEAST_SCORE)
+        smears += listed
+        owner_shapes += [key] * len(listed)
+    if not smears:
+        return [None] * len(targets)
+    weight = np.zeros((len(targets), len(smears)))
+    for i, target in enumerate(targets):
+        key = id(small.shapes(target))
+        for j, smear in enumerate(smears):
+            if owner_shapes[j] == key and likely(smear, target):
+                weight[i, j] = smear.score
+    centres = np.array([smear.centre_px for smear in smears])
+    chosen = assign(places, centres, weight, least_px=min(target.radius_px for target in targets))
+    return [smears[j] if j >= 0 else None for j in chosen]
+
+
+def assign(places: FloatArray, centres: FloatArray, weight: FloatArray, *, least_px: float) -> NDArray[np.intp]:
+    """Say which smear is whose, by a displacement field that is nearly affine.
+
+    Parameters
+    ----------
+    places
+        (n, 2) rest positions.
+    centres
+        (m, 2) smears.
+    weight
+        (n, m) how well each could be each; 0 for impossible.
+    least_px
+        Displacements that differ by this much are as good as equal.
+
+    Returns
+    -------
+    array
+        (n,) index of each target's smear, −1 for none. No smear is given twice.
+    """
+    count = len(places)
+    spacing = float(np.median(KDTree(places).query(places, k=2)[0][:, 1])) if count > 1 else 20 * least_px
+    tolerance = max(least_px, 0.15 * spacing)
+    distance = np.hypot(*(centres[None] - places[:, None]).transpose(2, 0, 1))
+    attractive = weight * np.exp(-distance / (4 * spacing))
+    options = np.argsort(-attractive, axis=1)[:, :CHOICES]
+    option_weight = np.take_along_axis(weight, options, axis=1)
+    field = _best_field(places, centres[options], option_weight, tolerance, spacing)
+    chosen = np.full(count, -1)
+    for width in (2.0, 2.0, 1.5):
+        predicted = places + field
+        gap = np.hypot(*(centres[None] - predicted[:, None]).transpose(2, 0, 1))
+        gain = weight * np.exp(-0.5 * (gap / (width * tolerance)) ** 2) * (gap < 2.5 * tolerance)
+        rows, columns = linear_sum_assignment(-gain)
+        chosen = np.full(count, -1)
+        good = gain[rows, columns] > 0
+        chosen[rows[good]] = columns[good]
+        field = _smooth(places, centres, chosen, field)
+    return chosen
+
+
+def _best_field(
+    places: FloatArray, options: FloatArray, weight: FloatArray, tolerance: float, spacing: float
+) -> FloatArray:
+    """(n, 2) displacement of the affine field, out of many random ones, that explains most targets, moved least."""
+    count, choices = weight.shape
+    rng = np.random.default_rng(0)
+    usable = np.flatnonzero(weight.max(axis=1) > 0)
+    fields = [np.zeros((1, count, 2))]
+    chance = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+    if usable.size:
+        # Every target with every choice of its own as a pure translation; then triples as affine fields.
+        shifts = (options - places[:, None])[usable].reshape(-1, 2)[weight[usable].ravel() > 0]
+        fields.append(np.repeat(shifts[:, None], count, axis=1))
+    if usable.size >= 3:
+        triples = np.array([rng.choice(usable, 3, replace=False) for _ in range(SAMPLES)])
+        picks = np.array([[rng.choice(choices, p=chance[i]) for i in triple] for triple in triples])
+        base = np.concatenate([places[triples], np.ones((SAMPLES, 3, 1))], axis=2)
+        moved = options[triples, picks] - places[triples]
+        sound = np.abs(np.linalg.det(base)) > spacing**2 / 2
+        gradient = np.linalg.solve(base[sound], moved[sound])
+        gradient = gradient[np.linalg.norm(gradient[:, :2], axis=(1, 2)) < STRAIN]
+        fields.append(np.concatenate([places, np.ones((count, 1))], axis=1) @ gradient)
+    candidates = np.concatenate(fields)
+    gap2 = ((options[None] - places[None, :, None] - candidates[:, :, None]) ** 2).sum(axis=3)
+    explained = (weight[None] * np.exp(-0.5 * gap2 / tolerance**2)).max(axis=2).sum(axis=1)
+    effort = np.hypot(candidates[..., 0], candidates[..., 1]).mean(axis=1) / spacing
+    best: FloatArray = candidates[np.argmax(explained - 0.2 * np.minimum(effort, 3.0))]
+    return best
+
+
+def _smooth(places: FloatArray, centres: FloatArray, chosen: NDArray[np.intp], before: FloatArray) -> FloatArray:
+    """Displacement field through the pairs found: affine, plus what the nearest neighbours have over it."""
+    got = np.flatnonzero(chosen >= 0)
+    if got.size < 4:
+        return before
+    moved = centres[chosen[got]] - places[got]
+    middle, size = places.mean(axis=0), places.std() + 1e-9
+    base = np.concatenate([(places - middle) / size, np.ones((len(places), 1))], axis=1)
+    ridge = np.diag([0.1, 0.1, 0.0])
+    fit = np.linalg.solve(base[got].T @ base[got] + ridge, base[got].T @ moved)
+    affine: FloatArray = base @ fit
+    _, index = KDTree(places[got]).query(places, k=min(4, got.size))
+    rest = moved - affine[got]
+    smoothed: FloatArray = affine + np.median(rest[index], axis=1)
+    return smoothed

@@ -1,0 +1,186 @@
+"""Blurred dots as matched filters see them: what a dot may look like after a second of motion, and where it lies.
+
+The picture is reduced until a dot is a few pixels across, so that a search over place, length and direction of the
+smear stays cheap. Normalised correlation takes paper white, ink and contrast out of the comparison. The result is a
+start for the fit, good to about a fifth of the dot's radius; nothing is measured here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.blur.pixels import FloatArray
+
+Picture = NDArray[np.float32]
+
+MARGIN = 0.7
+"""White paper that a filter wants to see around the smear, in dot radii."""
+STRAIGHT = ((0.0, 1), (0.45, 4), (0.8, 6), (1.2, 8), (1.7, 10), (2.3, 12), (3.0, 14), (4.0, 16))
+"""Semi-amplitudes in dot radii that are tried, and in how many directions."""
+ROUND = (0.6, 1.0, 1.6, 2.4, 3.4)
+"""Radii of circular orbits that are tried, in dot radii."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filter:
+    """What a dot looks like after one motion.
+
+    Attributes
+    ----------
+    a, b
+        (2,) semi-axes of the motion, reduced pixels.
+    picture
+        (h, w) share of the exposure for which each pixel was covered; odd sides, centred.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    picture: Picture
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smear:
+    """A place in a frame that looks like a blurred dot.
+
+    Attributes
+    ----------
+    centre_px, a_px, b_px
+        (2,) mean position and rough semi-axes, pixels of the full frame.
+    score
+        Normalised correlation, 1 for a perfect likeness.
+    contrast
+        Paper less ink, in the picture's own units.
+    """
+
+    centre_px: FloatArray
+    a_px: FloatArray
+    b_px: FloatArray
+    score: float
+    contrast: float
+
+
+@lru_cache(maxsize=64)
+def filters(semi_major: float, semi_minor: float, angle_rad: float) -> tuple[Filter, ...]:
+    """Filters of all motions tried, for a dot's ellipse in reduced pixels."""
+    radius = (semi_major + semi_minor) / 2
+    motions = [(np.zeros(2), np.zeros(2))]
+    for ratio, directions in STRAIGHT[1:]:
+        for k in range(directions):
+            angle = np.pi * k / directions
+            motions.append((ratio * radius * np.array([np.cos(angle), np.sin(angle)]), np.zeros(2)))
+    motions += [(np.array([r * radius, 0.0]), np.array([0.0, r * radius])) for r in ROUND]
+    return tuple(Filter(a, b, _picture(semi_major, semi_minor, angle_rad, a, b)) for a, b in motions)
+
+
+def _picture(semi_major: float, semi_minor: float, angle_rad: float, a: FloatArray, b: FloatArray) -> Picture:
+    margin = MARGIN * (semi_major + semi_minor) / 2
+    reach = np.hypot(a, b) + semi_major + margin
+    half_w, half_h = (int(np.ceil(v)) for v in reach)
+    y, x = np.mgrid[-half_h : half_h + 1, -half_w : half_w + 1].astype(float)
+    steps = max(8, int(4 * max(np.hypot(*a), np.hypot(*b))))
+    phases = (np.arange(steps) + 0.5) * (np.pi if not b.any() else 2 * np.pi) / steps - np.pi / 2
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    total = np.zeros_like(x)
+    for phase in phases:
+        dx, dy = x - a[0] * np.sin(phase) - b[0] * np.cos(phase), y - a[1] * np.sin(phase) - b[1] * np.cos(phase)
+        along, across = (dx * cos + dy * sin) / semi_major, (dy * cos - dx * sin) / semi_minor
+        # An edge one reduced pixel wide stands for lens blur and reduction together.
+        total += np.clip(0.5 + (1.0 - np.hypot(along, across)) * semi_minor, 0.0, 1.0)
+    return cast(Picture, (total / steps).astype(np.float32))
+
+
+def best_smear(
+    reduced: Picture, scale: int, expected_px: FloatArray, reach_px: float, shapes: tuple[Filter, ...]
+) -> Smear | None:
+    """Find the most dot-like place within `reach_px` (in x and in y) of where a target is expected.
+
+    Parameters
+    ----------
+    reduced
+        (h, w) picture, reduced `scale` times by area.
+    scale
+        Full pixels a reduced one.
+    expected_px
+        (2,) place in the full frame.
+    shapes
+        What to look for, see `filters`.
+
+    Returns
+    -------
+    Smear or None
+        None when the neighbourhood lies off the frame.
+    """
+    x, y = (np.asarray(expected_px) - (scale - 1) / 2) / scale
+    reach = max(1, round(reach_px / scale))
+    cx, cy = round(x), round(y)
+    best: tuple[float, Filter, int, int, Picture] | None = None
+    for shape in shapes:
+        h, w = shape.picture.shape
+        x0, y0 = max(cx - reach - w // 2, 0), max(cy - reach - h // 2, 0)
+        x1, y1 = cx + reach + w // 2 + 1, cy + reach + h // 2 + 1
+        window = reduced[y0:y1, x0:x1]
+        if window.shape[0] < h or window.shape[1] < w:
+            continue
+        likeness = -cv2.matchTemplate(window, shape.picture, cv2.TM_CCOEFF_NORMED)
+        row, column = divmod(int(np.argmax(likeness)), likeness.shape[1])
+        if best is None or likeness[row, column] > best[0]:
+            best = float(likeness[row, column]), shape, x0 + column, y0 + row, likeness
+    if best is None:
+        return None
+    score, shape, left, top, likeness = best
+    h, w = shape.picture.shape
+    centre = np.array([left + w // 2, top + h // 2], dtype=float)
+    return Smear(
+        centre * scale + (scale - 1) / 2, shape.a * scale, shape.b * scale, score, _contrast(reduced, shape, left, top)
+    )
+
+
+def all_smears(reduced: Picture, scale: int, shapes: tuple[Filter, ...], least_score: float) -> list[Smear]:
+    """Find every place of the frame that looks like a blurred dot, best first, none within a dot of a better one."""
+    h, w = reduced.shape
+    top_score = np.full((h, w), -1.0, dtype=np.float32)
+    which = np.zeros((h, w), dtype=np.int16)
+    for index, shape in enumerate(shapes):
+        fh, fw = shape.picture.shape
+        if fh > h or fw > w:
+            continue
+        likeness = -cv2.matchTemplate(reduced, shape.picture, cv2.TM_CCOEFF_NORMED)
+        part = (slice(fh // 2, fh // 2 + likeness.shape[0]), slice(fw // 2, fw // 2 + likeness.shape[1]))
+        better = likeness > top_score[part]
+        top_score[part][better] = likeness[better]
+        which[part][better] = index
+    radius = max(1, int(shapes[0].picture.shape[0] / 2 / (1 + MARGIN)))
+    size = 2 * radius + 1
+    peaks = (top_score == cv2.dilate(top_score, np.ones((size, size), np.uint8))) & (top_score >= least_score)
+    found = []
+    for row, column in np.argwhere(peaks):
+        shape = shapes[which[row, column]]
+        fh, fw = shape.picture.shape
+        contrast = _contrast(reduced, shape, column - fw // 2, row - fh // 2)
+        centre = np.array([column, row], dtype=float) * scale + (scale - 1) / 2
+        found.append(Smear(centre, shape.a * scale, shape.b * scale, float(top_score[row, column]), contrast))
+    return sorted(found, key=lambda smear: -smear.score)
+
+
+def _contrast(reduced: Picture, shape: Filter, left: int, top: int) -> float:
+    """Paper less ink by least squares."""
+    h, w = shape.picture.shape
+    values = reduced[top : top + h, left : left + w].ravel()
+    cover = shape.picture.ravel()
+    cover = cover - cover.mean()
+    return float(-(cover @ (values - values.mean())) / (cover @ cover))
+
+
+def reduce(grey: Picture, scale: int) -> Picture:
+    """Average blocks of `scale` × `scale` pixels; an incomplete block at the right or bottom edge is left out."""
+    if scale == 1:
+        return grey
+    h, w = grey.shape[0] // scale, grey.shape[1] // scale
+    size = (w, h)
+    return cast(Picture, cv2.resize(grey[: h * scale, : w * scale], size, interpolation=cv2.INTER_AREA))

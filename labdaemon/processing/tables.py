@@ -1,0 +1,124 @@
+"""Result files: the rows of `measurements.csv` and `envelope.csv`, in memory, on disk and in messages alike."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from labdaemon.blur.motion import Measurement
+from labdaemon.errors import DataError
+from labdaemon.flags import Flag
+from labdaemon.geometry.motion import ObjectMotion
+
+Value: TypeAlias = str | float | None | list[str]
+Row: TypeAlias = dict[str, Value]
+"""A row by column: numbers as floats, None where empty, `flags` as a list. JSON-able."""
+
+_PX = ("x_px", "y_px", "ax_px", "ay_px", "bx_px", "by_px")
+_MM = ("x_mm", "y_mm", "z_mm", "ax_mm", "ay_mm", "az_mm", "bx_mm", "by_mm", "bz_mm")
+MEASUREMENT_COLUMNS = ("capture", "camera", "target", *_PX, *(f"sd_{name}" for name in _PX), "flags")
+ENVELOPE_COLUMNS = ("capture", "target", *_MM, *(f"sd_{name}" for name in _MM), "residual_ratio", "flags")
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 9) if math.isfinite(value) else None
+
+
+def _flags(flags: Iterable[Flag]) -> list[str]:
+    present = set(flags)
+    return [flag.value for flag in Flag if flag in present]
+
+
+def measurement_row(capture: str, camera: str, measurement: Measurement) -> Row:
+    """One row of `measurements.csv`; empty numbers where the target was not measured."""
+    values = np.concatenate([measurement.centre_px, measurement.a_px, measurement.b_px])
+    with np.errstate(invalid="ignore"):
+        sds = np.sqrt(np.diag(measurement.covariance_px2))
+    row: Row = {"capture": capture, "camera": camera, "target": measurement.target}
+    row.update({name: _number(value) for name, value in zip(_PX, values, strict=True)})
+    row.update({f"sd_{name}": _number(value) for name, value in zip(_PX, sds, strict=True)})
+    row["flags"] = _flags(measurement.flags)
+    return row
+
+
+def envelope_row(capture: str, target: str, motion: ObjectMotion | None, flags: Iterable[Flag]) -> Row:
+    """One row of `envelope.csv`; `motion` None where the target could not be measured."""
+    nothing = np.full(9, np.nan)
+    values, sds, ratio = nothing, nothing, None
+    if motion is not None:
+        values = np.concatenate([motion.mean_mm, motion.a_mm, motion.b_mm])
+        with np.errstate(invalid="ignore"):
+            sds = np.sqrt(np.diag(motion.covariance_mm2))
+        ratio = motion.residual_ratio
+    row: Row = {"capture": capture, "target": target}
+    row.update({name: _number(value) for name, value in zip(_MM, values, strict=True)})
+    row.update({f"sd_{name}": _number(value) for name, value in zip(_MM, sds, strict=True)})
+    row["residual_ratio"] = None if ratio is None else _number(ratio)
+    row["flags"] = _flags(flags)
+    return row
+
+
+def _cell(value: Value) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, list):
+        return ";".join(value)
+    if isinstance(value, float):
+        return f"{value:.6f}" if abs(value) < 1e9 else f"{value:.9g}"
+    return value
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Row]) -> str:
+    """The file's text: header, one line a row, six decimals, empty where there is no number."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(row[column]) for column in columns] for row in rows)
+    return out.getvalue()
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    """Write a result file whole or not at all: a temporary file beside it, synced, renamed into place.
+
+    Raises
+    ------
+    DataError
+        The folder cannot be written.
+    """
+    text = csv_text(columns, rows)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as exc:
+        temporary.unlink(missing_ok=True)
+        raise DataError(f"cannot be written: {exc.strerror}", file=path) from exc
+
+
+def read_csv(path: Path) -> list[Row]:
+    """Read a result file back as the rows that were written (numbers to six decimals)."""
+    text_columns = {"capture", "camera", "target"}
+    with path.open(encoding="utf-8", newline="") as file:
+        rows: list[Row] = []
+        for line in csv.DictReader(file):
+            row: Row = {}
+            for column, text in line.items():
+                if column in text_columns:
+                    row[column] = text
+                elif column == "flags":
+                    row[column] = text.split(";") if text else []
+                else:
+                    row[column] = float(text) if text else None
+            rows.append(row)
+    return rows
