@@ -42,7 +42,8 @@ class Settle:
 class Step:
     """One excitation setting (or a rest, a wait, a pause) and the captures taken in it.
 
-    `index` counts over the whole campaign from 0; `phase` is the place of the ``[[phase]]`` it came from.
+    `index` counts over the whole campaign from 0; `phase` is the place of the ``[[phase]]`` it came from. `label` is
+    unique in the campaign, sorts by index and can name a folder.
     """
 
     index: int
@@ -59,10 +60,16 @@ class Step:
     predicted_s: float
     predicted_bytes: int
     hold_s: float = 0.0
-    """Dwell time before the shots of a dwell, length of a pause or of waiting for an outside system; 0 for none."""
+    """Time held before the shots of a dwell, longest wait for an outside system, or length of a pause (0: until
+    resumed)."""
     not_before: str | None = None
     not_after: str | None = None
-    """Time window of the day as HH:MM (local time) in which the step may start; None for any."""
+    """Time window of the day as HH:MM (local time) in which the step may start, it may span midnight; None for any."""
+    sharp_set: str = ""
+    """The sharp set that a sharp step takes, or that other steps' captures are measured against; empty for the flat
+    one."""
+    at_rest: bool = True
+    """False for a sharp set of a structure that never rests."""
 
 
 @dataclass(frozen=True, slots=True)

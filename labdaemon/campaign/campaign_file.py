@@ -1,0 +1,274 @@
+"""The campaign file: what a person writes, checked for sense by itself (the table's limits come with the plan).
+
+.. code-block:: toml
+
+    name = "three-modes"
+    [[phase]]
+    kind = "sharp"
+    frames = 3
+    [[phase]]
+    kind = "steps"
+    frequency_hz = [5.0, 8.0, 12.0]
+    amplitude_mm = [2.0, 1.0, 0.5]
+
+Amplitudes are the table's, zero to peak. Every quantity's name ends in its unit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from labdaemon.campaign import steps
+from labdaemon.campaign.steps import OnFault
+from labdaemon.errors import ConfigError
+from labdaemon.tomlfile import Section, parse_model, parse_toml, read_toml
+
+MAX_STEPS = 20_000
+"""A campaign of more steps than this is a slip of the pen."""
+
+PositiveHz = Annotated[float, Field(gt=0, le=1000, strict=True)]
+Amplitude = Annotated[float, Field(ge=0, le=1000, strict=True)]
+Exposure = Annotated[float, Field(gt=0, le=900, strict=True)]
+Seconds = Annotated[float, Field(gt=0, le=7 * 86400, strict=True)]
+Captures = Annotated[int, Field(ge=1, le=1000, strict=True)]
+Repeats = Annotated[int, Field(ge=1, le=10_000, strict=True)]
+Phase = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, strict=True)]
+TimeOfDay = Annotated[str, Field(pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$")]
+
+
+class SettleSection(Section):
+    """When table and structure count as settled; see `labdaemon.campaign.steps.Settle`."""
+
+    max_change_per_cycle: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.001
+    timeout_s: Annotated[float, Field(gt=0, le=3600, strict=True)] = 60.0
+    damping_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.01
+
+    def value(self) -> steps.Settle:
+        """The same as the plan carries it."""
+        return steps.Settle(self.max_change_per_cycle, self.timeout_s, self.damping_ratio)
+
+
+class Spacing(Section):
+    """A ladder of frequencies: ``{ start = 4, stop = 14, count = 21, spacing = "log" }``, both ends included."""
+
+    start: PositiveHz
+    stop: PositiveHz
+    count: Annotated[int, Field(ge=1, le=MAX_STEPS, strict=True)]
+    spacing: Literal["linear", "log"] = "linear"
+
+    def values(self) -> tuple[float, ...]:
+        """The frequencies in order, hertz."""
+        if self.count == 1:
+            return (self.start,)
+        parts = [place / (self.count - 1) for place in range(self.count)]
+        if self.spacing == "log":
+            inner = [self.start * (self.stop / self.start) ** part for part in parts]
+        else:
+            inner = [self.start + (self.stop - self.start) * part for part in parts]
+        return (self.start, *inner[1:-1], self.stop)
+
+
+class PhaseSection(Section):
+    """What every phase may say."""
+
+    label: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,39}$")] | None = None
+    """Part of the names of its captures; by default the kind."""
+    on_fault: OnFault = "retry"
+    repeats: Repeats = 1
+    not_before: TimeOfDay | None = None
+    not_after: TimeOfDay | None = None
+    """Window of the day, local time, in which its steps may start; it may span midnight."""
+
+    @model_validator(mode="after")
+    def _window_has_length(self) -> PhaseSection:
+        if self.not_before is not None and self.not_before == self.not_after:
+            raise ValueError("not_before and not_after are the same time, so it could never start")
+        return self
+
+
+class SharpPhase(PhaseSection):
+    """Frames at rest, which everything after is measured against; averaged over `frames`."""
+
+    kind: Literal["sharp"]
+    frames: Annotated[int, Field(ge=1, le=100, strict=True)] = 3
+    exposure_s: Exposure = 1.0
+    at_rest: bool = True
+    """False for a structure that never rests, taken with a fast shutter: shape and name only."""
+    every_steps: Annotated[int, Field(ge=1, strict=True)] | None = None
+    """Take a new set after each so many later steps."""
+    every_s: Seconds | None = None
+    """Take a new set whenever so much (planned) time has passed since the last one."""
+
+
+class ShakingPhase(PhaseSection):
+    """What the phases share that set the shaker."""
+
+    captures: Captures = 1
+    exposure_s: Exposure = 1.0
+    phase_rad: Annotated[tuple[Phase, ...], Field(min_length=1, max_length=16)] | None = None
+    """Excitation phases at which to open, one capture at each, measured jointly."""
+    settle: SettleSection = SettleSection()
+    both_directions: bool = False
+    """Walk the frequencies up and then down again (a nonlinear structure answers differently)."""
+
+    @field_validator("phase_rad")
+    @classmethod
+    def _phases_differ(cls, phases: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if phases is not None:
+            turns = sorted(phase % (2 * math.pi) for phase in phases)
+            if any(after - before < 1e-3 for before, after in itertools.pairwise(turns)):
+                raise ValueError("two of the phases are the same")
+        return phases
+
+
+class StepsPhase(ShakingPhase):
+    """Excitations one after the other, each settled and then captured."""
+
+    kind: Literal["steps"]
+    frequency_hz: PositiveHz | Annotated[tuple[PositiveHz, ...], Field(min_length=1, max_length=MAX_STEPS)] | Spacing
+    amplitude_mm: Amplitude | Annotated[tuple[Amplitude, ...], Field(min_length=1, max_length=MAX_STEPS)]
+
+    @model_validator(mode="after")
+    def _one_amplitude_each(self) -> StepsPhase:
+        count = len(frequencies(self.frequency_hz))
+        if isinstance(self.amplitude_mm, tuple) and len(self.amplitude_mm) != count:
+            raise ValueError(
+                f"{len(self.amplitude_mm)} values of amplitude_mm for {count} of frequency_hz: one or {count}"
+            )
+        return self
+
+
+_LEVELS = ("amplitude_mm", "velocity_mm_s", "acceleration_mm_s2")
+
+
+class SweepPhase(ShakingPhase):
+    """A stepped sine sweep: from frequency to frequency without coming to rest in between.
+
+    The table's amplitude is given, or falls with frequency so that its velocity or acceleration stays the same.
+    """
+
+    kind: Literal["sweep"]
+    frequency_hz: Spacing
+    amplitude_mm: Amplitude | None = None
+    velocity_mm_s: Annotated[float, Field(gt=0, le=1e5, strict=True)] | None = None
+    acceleration_mm_s2: Annotated[float, Field(gt=0, le=1e6, strict=True)] | None = None
+
+    @model_validator(mode="after")
+    def _one_level(self) -> SweepPhase:
+        if sum(getattr(self, name) is not None for name in _LEVELS) != 1:
+            raise ValueError(f"give exactly one of {', '.join(_LEVELS)}")
+        return self
+
+    @property
+    def level_key(self) -> str:
+        """Which of the three was given."""
+        return next(name for name in _LEVELS if getattr(self, name) is not None)
+
+    def amplitude_at(self, frequency_hz: float) -> float:
+        """The table's semi-amplitude at this frequency, millimetres: A, v/(2πf) or a/(2πf)²."""
+        omega = 2 * math.pi * frequency_hz
+        if self.velocity_mm_s is not None:
+            return self.velocity_mm_s / omega
+        if self.acceleration_mm_s2 is not None:
+            return self.acceleration_mm_s2 / omega**2
+        return self.amplitude_mm or 0.0
+
+
+class DwellPhase(ShakingPhase):
+    """One excitation held for a time, then captured; with `repeats`, watched over hours."""
+
+    kind: Literal["dwell"]
+    frequency_hz: PositiveHz
+    amplitude_mm: Amplitude
+    hold_s: Seconds
+
+
+class ExternalPhase(PhaseSection):
+    """Captures that an outside system fires; ends when all came or `wait_s` is over."""
+
+    kind: Literal["external"]
+    captures: Captures = 1
+    exposure_s: Exposure = 1.0
+    wait_s: Seconds = 3600.0
+    frequency_hz: PositiveHz | None = None
+    amplitude_mm: Amplitude | None = None
+    """What the outside system does, if it is known."""
+
+
+class PausePhase(PhaseSection):
+    """Rest for a time, or until a person says `resume` when no `duration_s` is given."""
+
+    kind: Literal["pause"]
+    duration_s: Seconds | None = None
+
+
+AnyPhase = Annotated[
+    SharpPhase | StepsPhase | SweepPhase | DwellPhase | ExternalPhase | PausePhase, Field(discriminator="kind")
+]
+
+
+class CampaignSection(Section):
+    """The whole file."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}$")]
+    notes: Annotated[str, Field(max_length=10_000)] = ""
+    repeats: Repeats = 1
+    """How often the whole list of phases is walked."""
+    phase: Annotated[tuple[AnyPhase, ...], Field(min_length=1, max_length=1000)]
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """A campaign file as read.
+
+    Attributes
+    ----------
+    section
+        Its content.
+    toml
+        Its text, kept with the campaign.
+    source
+        Where it came from, for messages; None when it came over the wire.
+    """
+
+    section: CampaignSection
+    toml: str
+    source: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """The campaign's name."""
+        return self.section.name
+
+
+def load_campaign(source: str | Path) -> Campaign:
+    """Read a campaign from a file (a `Path`) or from its text (a `str`).
+
+    Raises
+    ------
+    ConfigError
+        Names the file and the key's path, as ``phase[1].amplitude_mm``.
+    """
+    if isinstance(source, Path):
+        text, data = read_toml(source)
+        where: Path | None = source
+    else:
+        text, data, where = source, parse_toml(source, source="campaign"), None
+    shown = where or "campaign"
+    phases: Any = data.get("phase")
+    if isinstance(phases, dict):
+        raise ConfigError("is one table; write [[phase]] with double brackets", source=shown, key="phase")
+    return Campaign(parse_model(CampaignSection, data, source=shown), text, where)
+
+
+def frequencies(given: float | tuple[float, ...] | Spacing) -> tuple[float, ...]:
+    """The frequencies of a phase in the order they are walked up, hertz."""
+    if isinstance(given, Spacing):
+        return given.values()
+    return given if isinstance(given, tuple) else (given,)

@@ -1,0 +1,211 @@
+"""The rig file: read, checked to the last key, and turned into what the daemon is built from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from labdaemon.campaign.limits import ShakerLimits
+from labdaemon.campaign.plan import PlanRig
+from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
+from labdaemon.errors import ConfigError
+from labdaemon.service.config_sections import (
+    CameraSection,
+    ControlSection,
+    DriverSection,
+    GaugeSection,
+    InterlocksSection,
+    Name,
+    ProcessingSection,
+    ServiceSection,
+    ShakerSection,
+    TargetsSection,
+    TriggerSection,
+)
+from labdaemon.tomlfile import Section, nearest, parse_model, read_toml
+
+RAW_BYTES_A_PIXEL = 2
+"""An uncompressed 16-bit mosaic, the largest that a frame can be; bodies that compress need less."""
+DEFAULT_IMAGE_SIZE = (6000, 4000)
+"""Assumed for disk use when a camera's section does not tell."""
+BUILT_IN = {"trigger": {"camera"}}
+"""Drivers that are the daemon itself: frames that arrive are the trigger."""
+
+
+class RigConfig(Section):
+    """A whole rig file.
+
+    Attributes
+    ----------
+    source
+        Where it was read from; relative paths in it start at its folder.
+    """
+
+    service: ServiceSection = ServiceSection()
+    shaker: ShakerSection | None = None
+    trigger: TriggerSection = TriggerSection(driver="camera")
+    gauges: Annotated[tuple[GaugeSection, ...], Field(alias="gauge")] = ()
+    cameras: Annotated[dict[Name, CameraSection], Field(min_length=1)]
+    targets: TargetsSection
+    control: ControlSection
+    processing: ProcessingSection = ProcessingSection()
+    interlocks: InterlocksSection = InterlocksSection()
+    source: Annotated[Path, Field(exclude=True, alias=" source")]
+
+    @property
+    def limits(self) -> ShakerLimits | None:
+        """The table's limits, None without a shaker."""
+        return self.shaker.limits.value() if self.shaker else None
+
+    @property
+    def data(self) -> Path:
+        """Folder for everything the daemon writes."""
+        return self.path(self.service.data)
+
+    def path(self, written: str) -> Path:
+        """A path of the file, relative to the file's own folder."""
+        return (self.source.parent / written).resolve()
+
+    def shaker_settings(self) -> dict[str, Any]:
+        """The shaker's section for its driver, with the calibration's path made absolute."""
+        if self.shaker is None:
+            return {}
+        settings = self.shaker.settings
+        if self.shaker.calibration is not None:
+            settings["calibration"] = str(self.path(self.shaker.calibration))
+        return settings
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what results and safety depend on; addresses, folders and worker counts may change freely."""
+        parts = self.model_dump(mode="json", exclude={"service", "processing", "source"})
+        control = self.path(self.control.file)
+        parts["control_csv"] = hashlib.sha256(control.read_bytes()).hexdigest() if control.exists() else None
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def load_rig(path: Path | str, *, check_drivers: bool = True) -> RigConfig:
+    """Read and check a rig file.
+
+    Parameters
+    ----------
+    path
+        The TOML file.
+    check_drivers
+        Also look up every driver, and refuse keys that it does not know.
+
+    Raises
+    ------
+    ConfigError
+        Names file and key: unknown key (with the nearest known one), wrong type, value out of range, unknown driver,
+        two of one name or serial number, a file that is not there.
+    """
+    source = Path(path)
+    _, data = read_toml(source)
+    if isinstance(data.get("gauge"), dict):
+        raise ConfigError("is one table; write [[gauge]] with double brackets", source=source, key="gauge")
+    rig = parse_model(RigConfig, {**data, " source": source}, source=source)
+    _check_names(rig)
+    for key, written in (("control.file", rig.control.file), ("targets.file", rig.targets.file)):
+        if written is not None and not rig.path(written).is_file():
+            raise ConfigError(f"{rig.path(written)} is not there", source=source, key=key)
+    if rig.shaker and rig.shaker.calibration is not None and not rig.path(rig.shaker.calibration).is_file():
+        raise ConfigError(f"{rig.path(rig.shaker.calibration)} is not there", source=source, key="shaker.calibration")
+    if check_drivers:
+        for key, kind, section in _driver_sections(rig):
+            _check_driver(source, key, kind, section)
+    return rig
+
+
+def plan_rig(
+    rig: RigConfig, *, exposure_steps_s: dict[str, tuple[float, ...]] | None = None, free_bytes: int | None = None
+) -> PlanRig:
+    """What planning needs of a rig.
+
+    Parameters
+    ----------
+    exposure_steps_s
+        What the bodies say they offer (`Camera.exposure_steps_s`), by camera; without it the file's own list, and
+        without that the usual thirds of a stop.
+    free_bytes
+        Room on disk; None not to check it.
+    """
+    steps: dict[str, tuple[float, ...]] = {}
+    frame_bytes: dict[str, int] = {}
+    for name, camera in rig.cameras.items():
+        named = (exposure_steps_s or {}).get(name) or camera.exposure_steps_s
+        steps[name] = true_steps_s(named) if named else third_stop_steps_s()
+        width, height = camera.image_size or DEFAULT_IMAGE_SIZE
+        frame_bytes[name] = width * height * RAW_BYTES_A_PIXEL
+    watched = any(gauge.role == "response" for gauge in rig.gauges)
+    return PlanRig(rig.limits, steps, frame_bytes, free_bytes, has_response_gauge=watched, digest=rig.digest)
+
+
+def find_driver(kind: str, driver: str) -> EntryPoint:
+    """The entry point of a driver.
+
+    Parameters
+    ----------
+    kind
+        ``shaker``, ``trigger``, ``camera`` or ``gauge``.
+
+    Raises
+    ------
+    ConfigError
+        None is installed under this name; tells which are.
+    """
+    installed = entry_points(group=f"labdaemon.{kind}s")
+    if driver in installed.names:
+        return installed[driver]
+    names = sorted(installed.names | BUILT_IN.get(kind, set()))
+    near = nearest(driver, names)
+    hint = f"did you mean {near}?" if near else f"installed are {', '.join(names) or 'none'}"
+    raise ConfigError(f"no {kind} driver {driver!r}; {hint}")
+
+
+def _driver_sections(rig: RigConfig) -> list[tuple[str, str, DriverSection]]:
+    """Key, kind and section of everything that names a driver."""
+    sections: list[tuple[str, str, DriverSection]] = [("trigger", "trigger", rig.trigger)]
+    if rig.shaker is not None:
+        sections.append(("shaker", "shaker", rig.shaker))
+    sections += [(f"gauge[{place}]", "gauge", gauge) for place, gauge in enumerate(rig.gauges)]
+    sections += [(f"cameras.{name}", "camera", camera) for name, camera in rig.cameras.items()]
+    return sections
+
+
+def _check_driver(source: Path, key: str, kind: str, section: DriverSection) -> None:
+    """Refuse a driver that is not installed, and keys that neither we nor it know."""
+    known = list(type(section).model_fields)
+    if section.driver not in BUILT_IN.get(kind, set()):
+        try:
+            entry = find_driver(kind, section.driver)
+        except ConfigError as exc:
+            raise ConfigError(str(exc), source=source, key=f"{key}.driver") from None
+        try:
+            driver = entry.load()
+        except (ImportError, AttributeError) as exc:
+            raise ConfigError(f"driver {entry.value} does not load: {exc}", source=source, key=f"{key}.driver") from exc
+        known += sorted(getattr(driver, "SETTINGS", section.driver_keys))
+    for written in sorted(section.driver_keys - set(known)):
+        near = nearest(written, known)
+        hint = f"did you mean {near}?" if near else f"known keys are {', '.join(sorted(known))}"
+        raise ConfigError(f"unknown key; {hint}", source=source, key=f"{key}.{written}")
+
+
+def _check_names(rig: RigConfig) -> None:
+    seen: dict[str, str] = {}
+    for name, camera in rig.cameras.items():
+        if camera.serial in seen:
+            other = seen[camera.serial]
+            key = f"cameras.{name}.serial"
+            raise ConfigError(f"{camera.serial} is camera {other}'s already", source=rig.source, key=key)
+        seen[camera.serial] = name
+    names = [gauge.name for gauge in rig.gauges]
+    for place, name in enumerate(names):
+        if name in names[:place]:
+            raise ConfigError(f"{name} is another gauge's already", source=rig.source, key=f"gauge[{place}].name")

@@ -1,0 +1,193 @@
+"""The sections of a rig file (`config/*.toml`), each with its units and ranges.
+
+A section that names a driver hands the driver all of its keys; keys beyond the ones here are the driver's own and are
+checked against what it says it understands.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from labdaemon.campaign.limits import ShakerLimits
+from labdaemon.tomlfile import Section
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+Positive = Annotated[float, Field(gt=0, strict=True)]
+Fraction = Annotated[float, Field(gt=0, le=1, strict=True)]
+Count = Annotated[int, Field(ge=0, strict=True)]
+Pixels = Annotated[int, Field(ge=16, le=100_000, strict=True)]
+FocalLength = Annotated[float, Field(ge=50, le=1e6, strict=True)]
+Seconds = Annotated[float, Field(gt=0, le=86400, strict=True)]
+
+_LOOPBACK = re.compile(r"^(tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):\d{1,5}|ipc://.+)$")
+
+
+class ServiceSection(Section):
+    """Where the daemon listens and what it writes to."""
+
+    events: str = "tcp://127.0.0.1:5571"
+    commands: str = "tcp://127.0.0.1:5570"
+    data: Annotated[str, Field(min_length=1)] = "data"
+    """Folder of journal, campaigns and frames; relative to the rig file."""
+
+    @field_validator("events", "commands")
+    @classmethod
+    def _stay_on_loopback(cls, address: str) -> str:
+        if _LOOPBACK.match(address):
+            return address
+        if re.match(r"^tcp://[^:]+:\d{1,5}$", address):
+            raise ValueError(
+                f"{address} is off loopback, where anybody could move the table; use tcp://127.0.0.1:PORT or ipc://PATH"
+            )
+        raise ValueError(f"{address!r} is no address; write tcp://127.0.0.1:PORT or ipc://PATH")
+
+    @model_validator(mode="after")
+    def _two_addresses(self) -> ServiceSection:
+        if self.events == self.commands:
+            raise ValueError("events and commands share an address; give each its own")
+        return self
+
+
+class DriverSection(Section):
+    """A section whose other keys belong to the driver that it names."""
+
+    model_config = ConfigDict(extra="allow")
+
+    driver: Name
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The section as plain values, as a driver gets it: what was written, under the names it was written."""
+        return self.model_dump(exclude_unset=True)
+
+    @property
+    def driver_keys(self) -> set[str]:
+        """Keys that only the driver can judge."""
+        return set(self.model_extra or {})
+
+
+class LimitsSection(Section):
+    """The table's limits, see `labdaemon.campaign.limits.ShakerLimits`."""
+
+    stroke_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
+    velocity_mm_s: Annotated[float, Field(ge=1, le=1e5, strict=True)]
+    acceleration_mm_s2: Annotated[float, Field(ge=10, le=1e7, strict=True)]
+    frequency_hz: tuple[Positive, Positive] = (0.1, 200.0)
+    force_n: Positive | None = None
+    moving_mass_kg: Positive | None = None
+
+    @field_validator("frequency_hz")
+    @classmethod
+    def _ascending(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        if ends[0] >= ends[1]:
+            raise ValueError("the lowest frequency comes first, then the highest")
+        return ends
+
+    @model_validator(mode="after")
+    def _force_needs_mass(self) -> LimitsSection:
+        if (self.force_n is None) != (self.moving_mass_kg is None):
+            raise ValueError("force_n and moving_mass_kg are only checked together; give both or neither")
+        return self
+
+    def value(self) -> ShakerLimits:
+        """The same as planning takes it."""
+        return ShakerLimits(**self.model_dump())
+
+
+class ShakerSection(DriverSection):
+    """The shaker's controller."""
+
+    port: Annotated[str, Field(min_length=1)]
+    limits: LimitsSection
+    calibration: str | None = None
+    """Table of drive level to millimetres over frequency (CSV), relative to the rig file."""
+
+
+class TriggerSection(DriverSection):
+    """What releases the shutters; driver ``camera`` when an outside system does."""
+
+    window_s: Seconds = 5.0
+    """Frames that arrive from all cameras within this time are one capture (driver ``camera``)."""
+
+
+class GaugeSection(DriverSection):
+    """A displacement or acceleration sensor."""
+
+    name: Name
+    role: Literal["table", "response"]
+    unit: Literal["mm", "m/s2"] = "mm"
+    port: Annotated[str, Field(min_length=1)]
+
+
+class CameraSection(DriverSection):
+    """A camera body and its lens (OpenCV's model; `labdaemon calibrate camera` fills it in)."""
+
+    serial: str
+    exposure_s: Annotated[float, Field(gt=0, le=900, strict=True)] | None = None
+    f_number: Annotated[float, Field(ge=0.7, le=128, strict=True)] | None = None
+    iso: Annotated[int, Field(ge=25, le=409600, strict=True)] | None = None
+    exposure_steps_s: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    """Exposure times to plan with when the body is not at hand; by default the usual thirds of a stop."""
+    image_size: tuple[Pixels, Pixels] | None = None
+    focal_px: tuple[FocalLength, FocalLength] | None = None
+    principal_point_px: tuple[float, float] | None = None
+    distortion: tuple[float, float, float, float, float] | None = None
+
+    @model_validator(mode="after")
+    def _whole_lens(self) -> CameraSection:
+        lens = {"image_size": self.image_size, "principal_point_px": self.principal_point_px}
+        missing = [name for name, value in lens.items() if value is None]
+        if self.focal_px is not None and missing:
+            raise ValueError(f"focal_px is given, but {' and '.join(missing)} is not")
+        return self
+
+
+class TargetsSection(Section):
+    """The dots on the structure."""
+
+    diameter_mm: (
+        Annotated[float, Field(ge=0.5, le=500, strict=True)]
+        | Annotated[tuple[Annotated[float, Field(ge=0.5, le=500, strict=True)], ...], Field(min_length=1)]
+    )
+    """One size, or a list of the sizes in use."""
+    file: str | None = None
+    """Approximate places of the targets (``name,x_mm,y_mm,z_mm``), relative to the rig file."""
+
+
+class ControlSection(Section):
+    """The surveyed control targets."""
+
+    family: Name = "apriltag-36h11"
+    size_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
+    file: str = "control.csv"
+    """Their surveyed centres (``name,x_mm,y_mm,z_mm,sd_mm``), relative to the rig file."""
+
+
+class ProcessingSection(Section):
+    """How frames are measured."""
+
+    workers: Annotated[int, Field(ge=0, le=256, strict=True)] = 0
+    """Worker processes; 0 for one a core."""
+    deadline_s: Seconds = 120.0
+    """Longest that a capture may take to measure before its worker is replaced."""
+
+
+class InterlocksSection(Section):
+    """What stops the table. None switches a check off."""
+
+    max_response_mm: Positive | None = None
+    """Largest semi-amplitude of the structure by a response gauge or by an envelope."""
+    max_response_rate_mm_s: Positive | None = None
+    """Fastest growth of the response's semi-amplitude."""
+    gauge_disagreement: Fraction | None = 0.2
+    """Relative difference between the table's amplitude as set and as the table gauge reads it."""
+    min_battery_percent: Annotated[int, Field(ge=0, le=100, strict=True)] = 10
+    min_card_bytes: Count = 200_000_000
+    min_disk_bytes: Count = 1_000_000_000
+    camera_timeout_s: Seconds = 30.0
+    """A camera that has not delivered its frame this long after a capture is lost."""
+    worker_stall_s: Seconds = 300.0
+    """No measurement finished for so long although some are waiting."""
