@@ -146,13 +146,13 @@ class RawFrame:
         for place, channel in enumerate(self.pattern.ravel()):
             ratio = np.median(light[place, bright] / mean[bright]) if bright.any() else 1.0
             result[channel] = 1.0 / ratio if ratio > 0.02 else 1.0
-        return result / result.min()
+        return np.asarray(result / result.min())
 
     def grey(self) -> Grey:
         """(h, w) float32: the mosaic as one image at full resolution, in parts of the range from black to white.
 
-        For finding things and drawing them; measurements are made on `patch`. Each channel is multiplied by its gain and
-        the result clipped at 1, since beyond it some channel may have clipped.
+        For finding things and drawing them; measurements are made on `patch`. Each channel is multiplied by its gain
+        and the result clipped at 1, since beyond it some channel may have clipped.
         """
         height, width = self.values.shape
         gains = self.gains()

@@ -157,6 +157,6 @@ def _grey_picture(path: Path, picture: NDArray[np.generic], tags: FileTags) -> R
         values=picture.astype(np.uint16),
         pattern=np.zeros((1, 1), dtype=np.uint8),
         black=np.zeros((1, 1)),
-        white_level=float(np.iinfo(picture.dtype).max),
+        white_level=255.0 if picture.dtype == np.uint8 else 65535.0,
         taken_at=tags.taken_at,
     )

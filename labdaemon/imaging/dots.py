@@ -1,0 +1,224 @@
+"""Dark dots on white paper, found in a sharp frame among clutter, and nothing else called a dot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.blur.pixels import Dot
+from labdaemon.imaging import ellipse
+from labdaemon.imaging.blobs import find_blobs
+from labdaemon.imaging.ellipse import Ellipse
+from labdaemon.imaging.frame import Grey, RawFrame
+from labdaemon.imaging.margin import paper_extent
+
+FloatArray = NDArray[np.float64]
+
+RAYS = 48
+STEPS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What makes a dark blob a dot.
+
+    Attributes
+    ----------
+    contrast
+        Least part of the paper's brightness by which the ink is darker.
+    ink_spread, ring_spread
+        Largest deviation within the ink, and of any ray's ring from the paper, in parts of the contrast.
+    out_of_round, out_of_round_px
+        Largest rms distance of the edge from its ellipse: a part of the radius, plus pixels for noise. A square's edge is
+        off by 0.09 of its mean radius, a hexagon's by 0.04.
+    whiteness
+        Least brightness of the paper in parts of the other dots' paper: a black disc on something dark is no target.
+    """
+
+    contrast: float = 0.4
+    ink_spread: float = 0.25
+    ring_spread: float = 0.35
+    out_of_round: float = 0.018
+    out_of_round_px: float = 0.12
+    whiteness: float = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    shape: Ellipse
+    paper: float
+    ink: float
+    residual_px: float
+
+
+def find_dots(
+    frame: RawFrame | Grey,
+    *,
+    diameter_range_px: tuple[float, float] = (12.0, 200.0),
+    exclude: Sequence[FloatArray] = (),
+    limits: Limits = Limits(),  # noqa: B008 - frozen
+) -> list[Dot]:
+    """Find every dark dot on white paper in a sharp frame.
+
+    Parameters
+    ----------
+    frame
+        The frame, or its `grey()`.
+    diameter_range_px
+        Smallest and largest major diameter.
+    exclude
+        Polygons (n, 2), px, in which nothing is a dot: coded targets already read.
+    limits
+        What makes a blob a dot.
+
+    Returns
+    -------
+    Dots from top to bottom, then left to right; centres good to about 0.1 px, each with the extent of its paper.
+
+    Notes
+    -----
+    A dot is a filled ellipse: on 48 rays from its centre the brightness rises once, from even ink to even paper, and the
+    half-way points lie on one ellipse. That refuses letters, squares of coded targets, ring segments, shaded bolt heads
+    and discs on a dark ground.
+    """
+    grey = frame.grey() if isinstance(frame, RawFrame) else np.ascontiguousarray(frame, dtype=np.float32)
+    blobs = find_blobs(grey, diameter_range_px)
+    checked = [c for c in (_check(grey, blob, limits) for blob in blobs) if c is not None]
+    low, high = diameter_range_px
+    checked = [c for c in checked if 0.95 * low <= 2.0 * c.shape.semi_major_px <= 1.05 * high]
+    kept = _white_enough(_distinct(checked), limits)
+    kept = [c for c in kept if not any(_inside(c.shape, polygon) for polygon in exclude)]
+    kept.sort(key=lambda c: (c.shape.y_px, c.shape.x_px))
+    extents = paper_extent(grey, [c.shape for c in kept], [(c.ink, c.paper) for c in kept])
+    return [
+        Dot(
+            x_px=c.shape.x_px,
+            y_px=c.shape.y_px,
+            semi_major_px=c.shape.semi_major_px,
+            semi_minor_px=c.shape.semi_minor_px,
+            angle_rad=c.shape.angle_rad,
+            paper_px=extent,
+        )
+        for c, extent in zip(kept, extents, strict=True)
+    ]
+
+
+def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
+    """Fit the edge and hold it against `limits`; None if it is no dot."""
+    shape, reach = blob, 0.45
+    angles = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+    for _ in range(3):
+        # The ring reaches 45 % beyond the edge at first, since a blob's own ellipse is off by its threshold and reduction;
+        # then as far as the edge's blur and the fit need.
+        r = shape.mean_radius_px
+        if not 3.0 <= r <= 400.0 or shape.semi_minor_px < 2.0:
+            return None
+        span = max(reach, 3.5 / r)
+        scales = np.linspace(0.0 if reach > 0.4 else max(1.0 - span, 0.0), 1.0 + span, STEPS)
+        profile = _sample(grey, shape.points(angles[:, None], scales[None, :]))
+        if profile is None:
+            return None
+        inner, outer = profile[:, scales <= max(1.0 - span * 0.6, 0.3)], profile[:, -5:]
+        ink, paper = float(np.median(inner)), float(np.median(outer))
+        if paper <= 0.0 or paper - ink < limits.contrast * paper:
+            return None
+        crossing = _crossings(profile, scales, 0.5 * (ink + paper))
+        good = np.isfinite(crossing)
+        if good.sum() < 0.9 * RAYS:
+            return None
+        points = shape.points(angles[good], crossing[good])
+        fitted = _robust_fit(points)
+        if fitted is None or fitted.semi_minor_px < 0.15 * fitted.semi_major_px:
+            return None
+        shape, reach = fitted, 0.25
+    residual = np.abs(shape.radii(points) - 1.0) * shape.mean_radius_px
+    rms = float(np.sqrt(np.mean(np.sort(residual)[: int(0.95 * len(residual))] ** 2)))
+    if rms > limits.out_of_round * shape.mean_radius_px + limits.out_of_round_px:
+        return None
+    return _even(grey, shape, rms, limits)
+
+
+def _even(grey: Grey, shape: Ellipse, rms: float, limits: Limits) -> _Candidate | None:
+    """Ink even inside, paper even around: the last test, on rings that keep clear of the edge's blur."""
+    angles = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+    r = shape.semi_minor_px
+    clear = max(0.15, 1.8 / r)
+    inner = _sample(grey, shape.points(angles[:, None], np.linspace(0.0, max(1.0 - clear, 0.2), 8)[None, :]))
+    outer = _sample(
+        grey, shape.points(angles[:, None], np.linspace(1.0 + clear, 1.0 + max(2.0 * clear, 0.3), 4)[None, :])
+    )
+    if inner is None or outer is None:
+        return None
+    ink, paper = float(np.median(inner)), float(np.median(outer))
+    contrast = paper - ink
+    if contrast < limits.contrast * paper:
+        return None
+    low, high = np.percentile(inner, (4.0, 96.0))
+    if max(high - ink, ink - low) > limits.ink_spread * contrast:
+        return None
+    ring = outer.mean(axis=1)
+    uneven = (ring < paper - limits.ring_spread * contrast) | (ring > paper + 2.0 * limits.ring_spread * contrast)
+    if uneven.sum() > 0.04 * RAYS:
+        return None
+    return _Candidate(shape, paper, ink, rms)
+
+
+def _sample(grey: Grey, points: FloatArray) -> FloatArray | None:
+    """Brightness at points (…, 2) by linear interpolation; None if any lies outside the frame."""
+    height, width = grey.shape
+    if points.min() < 0.0 or points[..., 0].max() > width - 1 or points[..., 1].max() > height - 1:
+        return None
+    at = points.astype(np.float32)
+    return cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+
+
+def _crossings(profile: FloatArray, scales: FloatArray, level: float) -> FloatArray:
+    """Where each ray's brightness first rises through `level`, in units of the ellipse; NaN where it does not."""
+    below = profile < level
+    rising = below[:, :-1] & ~below[:, 1:]
+    first = np.argmax(rising, axis=1)
+    rows = np.arange(len(profile))
+    v0, v1 = profile[rows, first], profile[rows, first + 1]
+    step = scales[1] - scales[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        place = scales[first] + step * (level - v0) / (v1 - v0)
+    return np.where(rising.any(axis=1), place, np.nan)
+
+
+def _robust_fit(points: FloatArray) -> Ellipse | None:
+    """Ellipse through edge points, again without the few that a hot pixel or a scratch has displaced."""
+    fitted = ellipse.fit(points)
+    if fitted is None:
+        return None
+    off = np.abs(fitted.radii(points) - 1.0)
+    keep = off <= max(3.0 * 1.4826 * float(np.median(off)), 1e-3)
+    if keep.all() or keep.sum() < 0.8 * len(points):
+        return fitted
+    return ellipse.fit(points[keep])
+
+
+def _distinct(candidates: list[_Candidate]) -> list[_Candidate]:
+    """Each dot once, in its best fit."""
+    kept: list[_Candidate] = []
+    for c in sorted(candidates, key=lambda c: c.residual_px / c.shape.mean_radius_px):
+        if all(
+            np.hypot(c.shape.x_px - k.shape.x_px, c.shape.y_px - k.shape.y_px) > k.shape.semi_minor_px for k in kept
+        ):
+            kept.append(c)
+    return kept
+
+
+def _white_enough(candidates: list[_Candidate], limits: Limits) -> list[_Candidate]:
+    """Without those whose ground is much darker than the other dots' paper."""
+    if not candidates:
+        return []
+    white = float(np.percentile([c.paper for c in candidates], 75.0))
+    return [c for c in candidates if c.paper >= limits.whiteness * white]
+
+
+def _inside(shape: Ellipse, polygon: FloatArray) -> bool:
+    return cv2.pointPolygonTest(np.asarray(polygon, dtype=np.float32), (shape.x_px, shape.y_px), False) >= 0
