@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +24,9 @@ def find_blobs(grey: Grey, diameter_range_px: tuple[float, float]) -> list[Ellip
     """Dark regions whose area and second moments are those of a filled ellipse.
 
     The picture is reduced by powers of two so that every diameter is looked for at 5 to 26 reduced pixels. In each, a
-    morphological closing wider than the largest dot puts in place of every dark region the brightness around it; what is
-    well below that is a candidate. Unlike a threshold from local means it is not misled by what lies beyond the paper.
+    morphological closing wider than the largest dot puts in place of every dark region the brightness around it; what
+    is well below that is a candidate. Unlike a threshold from local means it is not misled by what lies beyond the
+    paper.
 
     Parameters
     ----------
@@ -67,11 +70,11 @@ def _at_scale(grey: Grey, factor: int, diameter_range_px: tuple[float, float]) -
     return found
 
 
-def _compact(dark: NDArray[np.uint8], extent: tuple[float, float], factor: int) -> list[Ellipse]:
+def _compact(dark: NDArray[Any], extent: tuple[float, float], factor: int) -> list[Ellipse]:
     """Connected regions whose area is that of the ellipse with their second moments, in full-size coordinates."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=4)
     height, width = dark.shape
-    x, y, w, h, area = stats.T
+    x, y, w, h = stats.T[:4]
     longer, shorter = np.maximum(w, h), np.minimum(w, h)
     inside = (x > 0) & (y > 0) & (x + w < width) & (y + h < height)
     likely = inside & (longer >= extent[0]) & (longer <= extent[1]) & (shorter >= MIN_AXIS_RATIO * longer)

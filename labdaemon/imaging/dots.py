@@ -30,18 +30,20 @@ class Limits:
     ----------
     contrast
         Least part of the paper's brightness by which the ink is darker.
-    ink_spread, ring_spread
-        Largest deviation within the ink, and of any ray's ring from the paper, in parts of the contrast.
+    ink_spread
+        Largest deviation within the ink, in parts of the contrast.
+    ring_ratio
+        Largest ratio, either way, of the paper's brightness on any ray to its median: shaded and shining labels stay.
     out_of_round, out_of_round_px
-        Largest rms distance of the edge from its ellipse: a part of the radius, plus pixels for noise. A square's edge is
-        off by 0.09 of its mean radius, a hexagon's by 0.04.
+        Largest rms distance of the edge from its ellipse: a part of the radius, plus pixels for noise. A square's edge
+        is off by 0.09 of its mean radius, a hexagon's by 0.04.
     whiteness
         Least brightness of the paper in parts of the other dots' paper: a black disc on something dark is no target.
     """
 
     contrast: float = 0.4
     ink_spread: float = 0.25
-    ring_spread: float = 0.35
+    ring_ratio: float = 1.9
     out_of_round: float = 0.018
     out_of_round_px: float = 0.12
     whiteness: float = 0.4
@@ -60,7 +62,7 @@ def find_dots(
     *,
     diameter_range_px: tuple[float, float] = (12.0, 200.0),
     exclude: Sequence[FloatArray] = (),
-    limits: Limits = Limits(),  # noqa: B008 - frozen
+    limits: Limits = Limits(),
 ) -> list[Dot]:
     """Find every dark dot on white paper in a sharp frame.
 
@@ -81,9 +83,9 @@ def find_dots(
 
     Notes
     -----
-    A dot is a filled ellipse: on 48 rays from its centre the brightness rises once, from even ink to even paper, and the
-    half-way points lie on one ellipse. That refuses letters, squares of coded targets, ring segments, shaded bolt heads
-    and discs on a dark ground.
+    A dot is a filled ellipse: on 48 rays from its centre the brightness rises once, from even ink to even paper, and
+    the half-way points lie on one ellipse. That refuses letters, squares of coded targets, ring segments, shaded bolt
+    heads and discs on a dark ground.
     """
     grey = frame.grey() if isinstance(frame, RawFrame) else np.ascontiguousarray(frame, dtype=np.float32)
     blobs = find_blobs(grey, diameter_range_px)
@@ -110,15 +112,15 @@ def find_dots(
 def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
     """Fit the edge and hold it against `limits`; None if it is no dot."""
     shape, reach = blob, 0.45
-    angles = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+    angles = _steps(0.0, 2.0 * np.pi, RAYS + 1)[:-1]
     for _ in range(3):
-        # The ring reaches 45 % beyond the edge at first, since a blob's own ellipse is off by its threshold and reduction;
-        # then as far as the edge's blur and the fit need.
+        # The ring reaches 45 % beyond the edge at first, since a blob's own ellipse is off by its threshold and
+        # reduction; then as far as the edge's blur and the fit need.
         r = shape.mean_radius_px
         if not 3.0 <= r <= 400.0 or shape.semi_minor_px < 2.0:
             return None
         span = max(reach, 3.5 / r)
-        scales = np.linspace(0.0 if reach > 0.4 else max(1.0 - span, 0.0), 1.0 + span, STEPS)
+        scales = _steps(0.0 if reach > 0.4 else max(1.0 - span, 0.0), 1.0 + span, STEPS)
         profile = _sample(grey, shape.points(angles[:, None], scales[None, :]))
         if profile is None:
             return None
@@ -126,7 +128,8 @@ def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
         ink, paper = float(np.median(inner)), float(np.median(outer))
         if paper <= 0.0 or paper - ink < limits.contrast * paper:
             return None
-        crossing = _crossings(profile, scales, 0.5 * (ink + paper))
+        # Half-way to each ray's own paper: shading across the label would shift a common level's edge.
+        crossing = _crossings(profile, scales, 0.5 * (ink + _around(profile[:, -5:].mean(axis=1))))
         good = np.isfinite(crossing)
         if good.sum() < 0.9 * RAYS:
             return None
@@ -144,10 +147,10 @@ def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
 
 def _even(grey: Grey, shape: Ellipse, rms: float, limits: Limits) -> _Candidate | None:
     """Ink even inside, paper even around: the last test, on rings that keep clear of the edge's blur."""
-    angles = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+    angles = _steps(0.0, 2.0 * np.pi, RAYS + 1)[:-1]
     r = shape.semi_minor_px
     clear = max(0.15, 1.8 / r)
-    inner = _sample(grey, shape.points(angles[:, None], np.linspace(0.0, max(1.0 - clear, 0.2), 8)[None, :]))
+    inner = _sample(grey, shape.points(angles[:, None], _steps(0.0, max(1.0 - clear, 0.2), 8)[None, :]))
     outer = _sample(
         grey, shape.points(angles[:, None], np.linspace(1.0 + clear, 1.0 + max(2.0 * clear, 0.3), 4)[None, :])
     )
@@ -161,10 +164,14 @@ def _even(grey: Grey, shape: Ellipse, rms: float, limits: Limits) -> _Candidate 
     if max(high - ink, ink - low) > limits.ink_spread * contrast:
         return None
     ring = outer.mean(axis=1)
-    uneven = (ring < paper - limits.ring_spread * contrast) | (ring > paper + 2.0 * limits.ring_spread * contrast)
+    uneven = (ring * limits.ring_ratio < paper) | (ring > limits.ring_ratio * paper) | (ring - ink < 0.4 * contrast)
     if uneven.sum() > 0.04 * RAYS:
         return None
     return _Candidate(shape, paper, ink, rms)
+
+
+def _steps(first: float, last: float, count: int) -> FloatArray:
+    return np.asarray(np.linspace(first, last, count), dtype=np.float64)
 
 
 def _sample(grey: Grey, points: FloatArray) -> FloatArray | None:
@@ -176,9 +183,14 @@ def _sample(grey: Grey, points: FloatArray) -> FloatArray | None:
     return cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float64)
 
 
-def _crossings(profile: FloatArray, scales: FloatArray, level: float) -> FloatArray:
-    """Where each ray's brightness first rises through `level`, in units of the ellipse; NaN where it does not."""
-    below = profile < level
+def _around(ring: FloatArray) -> FloatArray:
+    """Median of five neighbouring rays."""
+    return np.asarray(np.median([np.roll(ring, k) for k in range(-2, 3)], axis=0))
+
+
+def _crossings(profile: FloatArray, scales: FloatArray, level: FloatArray) -> FloatArray:
+    """Where each ray's brightness first rises through its level, in units of the ellipse; NaN where it does not."""
+    below = profile < level[:, None]
     rising = below[:, :-1] & ~below[:, 1:]
     first = np.argmax(rising, axis=1)
     rows = np.arange(len(profile))

@@ -46,7 +46,7 @@ class Ellipse:
     def points(self, angles_rad: FloatArray, scale: float | FloatArray = 1.0) -> FloatArray:
         """(…, 2) points at eccentric angles, on the ellipse enlarged `scale` times about its centre."""
         unit = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1) * np.asarray(scale)[..., None]
-        return unit @ self.frame.T + np.array([self.x_px, self.y_px])
+        return np.asarray(unit @ self.frame.T + np.array([self.x_px, self.y_px]))
 
     def radii(self, points: FloatArray) -> FloatArray:
         """(…) distance of points (…, 2) from the centre in units of the ellipse: 1 on it."""

@@ -32,9 +32,9 @@ def paper_extent(grey: Grey, dots: Sequence[Ellipse], levels: Sequence[tuple[flo
 
     Returns
     -------
-    One distance a dot. Along each of 72 rays the paper ends where the brightness leaves the running level of paper by more
-    than 30 % of the contrast (a shadow, an edge, another dot, a brighter surface) or where the frame ends; slow changes
-    of light are followed.
+    One distance a dot. Along each of 72 rays the paper ends where the brightness leaves the running level of paper by
+    more than 30 % of the contrast (a shadow, an edge, another dot, a brighter surface) or where the frame ends; slow
+    changes of light are followed.
     """
     result: list[float] = []
     height, width = grey.shape
