@@ -1,0 +1,28 @@
+"""From a sharp and a blurred patch of a target to its motion in pixels, with covariance, at the photon limit."""
+
+from labdaemon.blur.fit_sharp import fit_sharp
+from labdaemon.blur.measure import measure
+from labdaemon.blur.motion import ExtraBlur, Measurement, Start, StillMeasurement, Window
+from labdaemon.blur.noise import estimate_noise
+from labdaemon.blur.pixels import Dot, NoiseModel, Patch
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.still import frame_blur, measure_still
+from labdaemon.blur.texture import sharp_texture
+
+__all__ = [
+    "Dot",
+    "ExtraBlur",
+    "Measurement",
+    "NoiseModel",
+    "Patch",
+    "SharpTarget",
+    "Start",
+    "StillMeasurement",
+    "Window",
+    "estimate_noise",
+    "fit_sharp",
+    "frame_blur",
+    "measure",
+    "measure_still",
+    "sharp_texture",
+]

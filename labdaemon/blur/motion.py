@@ -72,3 +72,65 @@ class Measurement:
     flags: frozenset[Flag] = field(default_factory=frozenset)
     extra_blur_px2: float = 0.0
     chi2: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraBlur:
+    """Isotropic extra blur of a frame against the sharp one (defocus, shake), as its control targets tell it.
+
+    Attributes
+    ----------
+    mean_px2, sd_px2
+        Variance and its standard deviation, px². The mean may be negative (the sharp frame was the less sharp one).
+    """
+
+    mean_px2: float = 0.0
+    sd_px2: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where to begin looking.
+
+    Attributes
+    ----------
+    centre_px
+        (2,) expected mean position in the frame.
+    a_px, b_px
+        (2,) expected motion; None lets the patch tell.
+    """
+
+    centre_px: FloatArray
+    a_px: FloatArray | None = None
+    b_px: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StillMeasurement:
+    """How a thing that does not move looks shifted and blurred against the sharp frame: the camera's doing.
+
+    Attributes
+    ----------
+    target
+        Its name.
+    centre_px
+        (2,) where it was in the sharp frame.
+    shift_px
+        (2,) shift against the sharp frame.
+    extra_blur_px2
+        Isotropic extra variance.
+    covariance_px2
+        (3, 3) covariance of (shift x, shift y, extra variance).
+    flags
+        `not_found`, `poor_fit` and so on.
+    chi2
+        Mean squared normalised residual.
+    """
+
+    target: str
+    centre_px: FloatArray
+    shift_px: FloatArray
+    extra_blur_px2: float
+    covariance_px2: FloatArray
+    flags: frozenset[Flag] = field(default_factory=frozenset)
+    chi2: float = 1.0

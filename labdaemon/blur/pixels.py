@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +35,7 @@ class Patch:
 
     values: FloatArray
     channel: NDArray[np.uint8]
-    valid: NDArray[np.bool_]
+    valid: BoolArray
     origin_px: tuple[int, int]
 
     @property
@@ -42,10 +44,19 @@ class Patch:
         height, width = self.values.shape
         return height, width
 
+    def crop(self, left: int, top: int, width: int, height: int) -> Patch:
+        """Cut a smaller patch; `left` and `top` are frame coordinates, and what lies outside is left away."""
+        x0, y0 = max(left - self.origin_px[0], 0), max(top - self.origin_px[1], 0)
+        x1, y1 = left - self.origin_px[0] + width, top - self.origin_px[1] + height
+        part = (slice(y0, max(y1, y0)), slice(x0, max(x1, x0)))
+        return Patch(
+            self.values[part], self.channel[part], self.valid[part], (x0 + self.origin_px[0], y0 + self.origin_px[1])
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Variance of a pixel as a function of its value: read noise and photon noise.
+    """Covariance of pixels: read noise, photon noise, and the paper's texture.
 
     Attributes
     ----------
@@ -53,13 +64,21 @@ class NoiseModel:
         Standard deviation at zero signal, DN.
     gain_dn
         Photon variance per DN of signal (1 / (electrons per DN)), DN.
+    texture
+        Standard deviation of the paper's reflectance, relative to its mean. Unlike the other two it is correlated
+        from pixel to pixel and moves with the paper.
+    texture_px
+        Its correlation length: the correlation at a distance r is exp(−r²/(4·texture_px²)), that of white noise
+        smoothed by a Gaussian of this standard deviation.
     """
 
     read_dn: float
     gain_dn: float
+    texture: float = 0.0
+    texture_px: float = 1.0
 
     def variance(self, signal: FloatArray) -> FloatArray:
-        """Variance (DN²) of pixels whose expected value is `signal` (DN)."""
+        """Variance (DN²), texture aside, of pixels whose expected value is `signal` (DN)."""
         result: FloatArray = self.read_dn**2 + self.gain_dn * np.maximum(signal, 0.0)
         return result
 

@@ -1,0 +1,43 @@
+"""Between second moments and the axes that are reported."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labdaemon.blur.pixels import FloatArray
+
+
+def positive(vector: FloatArray) -> FloatArray:
+    """The vector or its opposite, so that its largest component is positive."""
+    largest = vector[int(np.argmax(np.abs(vector)))]
+    result: FloatArray = -vector if largest < 0 else vector
+    return result
+
+
+def moment_matrix(moment: FloatArray) -> FloatArray:
+    """(2, 2) from (m0, m1, m2)."""
+    return np.array([[moment[0], moment[1]], [moment[1], moment[2]]])
+
+
+def principal(moment: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Principal values and directions of M = aaᵀ + bbᵀ with their covariance.
+
+    Parameters
+    ----------
+    moment, covariance
+        (3,) m0, m1, m2 (px²) and (3, 3).
+
+    Returns
+    -------
+    values, major, minor, covariance
+        (2,) larger first (px²); unit vectors (2,) each; (3, 3) covariance of (λ1, λ2, θ), θ the major axis' angle.
+    """
+    values, vectors = np.linalg.eigh(moment_matrix(moment))
+    major, minor = positive(vectors[:, 1]), positive(vectors[:, 0])
+    along = np.array([major[0] ** 2, 2 * major[0] * major[1], major[1] ** 2])
+    across = np.array([minor[0] ** 2, 2 * minor[0] * minor[1], minor[1] ** 2])
+    normal = np.array([-major[1], major[0]])
+    gap = max(float(values[1] - values[0]), 1e-12)
+    turn = np.array([major[0] * normal[0], major[0] * normal[1] + major[1] * normal[0], major[1] * normal[1]]) / gap
+    jacobian = np.stack((along, across, turn))
+    return values[::-1].copy(), major, minor, jacobian @ covariance @ jacobian.T

@@ -1,0 +1,204 @@
+"""The disc at rest: centre, ellipse and lens blur from one or several sharp frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labdaemon.blur import shapes
+from labdaemon.blur.locate import Blob, find_blob, masked
+from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
+from labdaemon.blur.noise import estimate_noise
+from labdaemon.blur.pixels import Dot, FloatArray, NoiseModel, Patch
+from labdaemon.blur.render import darkness, shifted
+from labdaemon.blur.sharp import Ellipse, Lens, SharpTarget
+from labdaemon.blur.solve import Model, Prior, Solution, solve
+from labdaemon.errors import UsageError
+from labdaemon.flags import Flag
+
+COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
+POOR_CHI2 = 1.6
+
+
+def average(patches: Sequence[Patch]) -> tuple[Patch, int]:
+    """Mean of patches of the same rectangle; pixels valid in all. The second value is their number.
+
+    Raises
+    ------
+    UsageError
+        No patch, or patches of different rectangles.
+    """
+    if not patches:
+        raise UsageError("no sharp patch was given; give at least one")
+    first = patches[0]
+    if any(p.shape != first.shape or p.origin_px != first.origin_px for p in patches):
+        raise UsageError("sharp patches must cover the same rectangle of their frames")
+    if len(patches) == 1:
+        return first, 1
+    valid = np.logical_and.reduce([p.valid for p in patches])
+    values = np.mean([p.values for p in patches], axis=0)
+    return Patch(values, first.channel, valid, first.origin_px), len(patches)
+
+
+def fit_sharp(dot: Dot, patches: Sequence[Patch], *, noise: NoiseModel | None = None) -> SharpTarget:
+    """Fit a dot at rest.
+
+    Parameters
+    ----------
+    dot
+        Where it was found, good to about a pixel.
+    patches
+        The same rectangle of one or several sharp frames, which are averaged. It should reach at least half a radius
+        beyond the dot.
+    noise
+        Noise of a single frame; estimated from the patch if not given.
+
+    Returns
+    -------
+    SharpTarget
+        With `Flag.NOT_FOUND` where there is no dot to fit, `Flag.POOR_FIT` where it is not an ellipse behind a lens
+        (another dot over it, a smeared sharp frame), `Flag.SATURATED` where white level hid too much.
+
+    Raises
+    ------
+    UsageError
+        No patch, or patches of different rectangles.
+    DataError
+        A patch off the frame, or an unknown colour filter.
+    """
+    patch, count = average(patches)
+    known = noise is not None
+    single = noise if noise is not None else estimate_noise([patch])
+    mean_noise = NoiseModel(single.read_dn / np.sqrt(count), single.gain_dn / count, single.texture, single.texture_px)
+    if not known:
+        mean_noise, count = single, 1
+    cut = _crop(dot, patch)
+    area = np.pi * dot.semi_major_px * dot.semi_minor_px
+    blob = find_blob(cut, np.array([dot.x_px, dot.y_px]), area, None)
+    if blob is None or not 0.3 < blob.area_px2 / area < 3.0:
+        return _nothing(dot, cut, single, known, saturated=_all_hidden(cut))
+    planes = split(masked(cut, blob.others))
+    solution, lens = _fit(dot, planes, mean_noise, blob)
+    return _target(dot, planes, solution, lens, single, known)
+
+
+def _crop(dot: Dot, patch: Patch) -> Patch:
+    reach = dot.semi_major_px + max(7.0, 0.6 * dot.semi_major_px)
+    reach = min(reach, max(dot.paper_px - 1.0, dot.semi_major_px + 2.0))
+    left, top = int(np.floor(dot.x_px - reach)), int(np.floor(dot.y_px - reach))
+    return patch.crop(left, top, int(np.ceil(dot.x_px + reach)) - left + 1, int(np.ceil(dot.y_px + reach)) - top + 1)
+
+
+def _all_hidden(patch: Patch) -> bool:
+    return bool(patch.valid.size and np.count_nonzero(patch.valid) < 0.2 * patch.valid.size)
+
+
+def _nothing(dot: Dot, patch: Patch, noise: NoiseModel, known: bool, *, saturated: bool) -> SharpTarget:
+    channels = np.unique(patch.channel).astype(np.int64)
+    n = len(channels)
+    lens = Lens(channels, np.zeros(n), np.zeros(n), np.zeros((n, 2)))
+    form = Ellipse(np.array([dot.semi_major_px, 0.0, dot.semi_minor_px]), lens, np.zeros((4, 4)))
+    flags = {Flag.NOT_FOUND} | ({Flag.SATURATED} if saturated else set())
+    nan = np.full((2, 2), np.nan)
+    return SharpTarget(dot.name, nan[0], nan, form, {}, noise, known, dot.paper_px, float("nan"), frozenset(flags))
+
+
+def dot_model(planes: Planes, grid: Grid) -> Model:
+    """Darkness of a resting dot and its derivatives.
+
+    Parameters are x, y, q0, q1, q2, blur variance, then for each lattice the extra variance, the diffraction width and the
+    offset in x and y.
+    """
+    n = planes.values.shape[0]
+    f2 = grid.fx**2 + grid.fy**2
+    f = np.sqrt(f2)
+    flat = shapes.pixel(grid.fx, grid.fy)
+
+    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        dark, by_q = shapes.ellipse(grid.fx, grid.fy, p[2:5])
+        own = p[COMMON:].reshape(n, 4)
+        spectra = np.zeros((1 + len(p), n, *f2.shape), dtype=np.complex128)
+        for index in range(n):
+            extra, width, ox, oy = own[index]
+            gauss = shapes.gaussian(f2, p[5] + extra) * flat
+            passed = shapes.diffraction(f, width)
+            offset = np.array([[ox, oy]])
+            phase = np.exp(-2j * np.pi * (grid.fx * offset[0, 0] + grid.fy * offset[0, 1]))
+            blur = gauss * passed * phase
+            spectra[0, index] = dark * blur
+            spectra[1, index] = -2j * np.pi * grid.fx * spectra[0, index]
+            spectra[2, index] = -2j * np.pi * grid.fy * spectra[0, index]
+            spectra[3:6, index] = by_q * blur
+            spectra[6, index] = -2 * np.pi**2 * f2 * spectra[0, index]
+            base = 1 + COMMON + 4 * index
+            spectra[base, index] = spectra[6, index]
+            spectra[base + 1, index] = dark * gauss * phase * shapes.diffraction_slope(f, width)
+            spectra[base + 2, index] = spectra[1, index]
+            spectra[base + 3, index] = spectra[2, index]
+        images = darkness(shifted(spectra, grid, planes, p[:2]), grid, planes)
+        return images[0], images[1:]
+
+    return model
+
+
+def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solution, Lens]:
+    n, height, width = planes.values.shape
+    margin = 8
+    grid = make_grid((height * planes.period + margin, width * planes.period + margin), oversampling=2)
+    c, s = np.cos(dot.angle_rad), np.sin(dot.angle_rad)
+    big, small = dot.semi_major_px, dot.semi_minor_px
+    q = [big * c * c + small * s * s, (big - small) * c * s, big * s * s + small * c * c]
+    near = blob.centre_px if np.hypot(*(blob.centre_px - (dot.x_px, dot.y_px))) < big else (dot.x_px, dot.y_px)
+    start = np.concatenate(([near[0], near[1]], q, [0.8], np.tile([0.0, 0.5, 0.0, 0.0], n)))
+    # A channel's own blur and offset are small; with one channel they are the common ones. The width is tied loosely.
+    sd_own = np.array([0.7, 2.0, 0.5, 0.5]) if n > 1 else np.array([1e-4, 2.0, 1e-5, 1e-5])
+    mean = np.concatenate((np.zeros(COMMON), np.tile([0.0, 0.0, 0.0, 0.0], n)))
+    precision = np.concatenate((np.full(COMMON, 1e-10), np.tile(1 / sd_own**2, n)))
+    prior = Prior(mean, np.diag(precision))
+
+    def bound(p: FloatArray) -> FloatArray:
+        p = p.copy()
+        p[2], p[4] = max(p[2], 1.0), max(p[4], 1.0)
+        p[5] = np.clip(p[5], -0.2, 60.0)
+        p[COMMON + 1 :: 4] = np.clip(p[COMMON + 1 :: 4], 0.0, 8.0)
+        return p
+
+    def weights(signal: FloatArray) -> FloatArray:
+        variance = noise.variance(signal) + (noise.texture * signal) ** 2
+        return np.where(planes.valid, 1 / np.maximum(variance, 1e-12), 0.0)
+
+    solution = solve(planes, weights, dot_model(planes, grid), start, prior, bound=bound, max_iterations=40)
+    own = solution.p[COMMON:].reshape(n, 4)
+    lens = Lens(planes.channel, solution.p[5] + own[:, 0], own[:, 1], own[:, 2:4] - own[:, 2:4].mean(axis=0))
+    return solution, lens
+
+
+def _target(dot: Dot, planes: Planes, solution: Solution, lens: Lens, noise: NoiseModel, known: bool) -> SharpTarget:
+    scale = max(solution.chi2, 1.0)
+    covariance = solution.covariance * scale
+    n = planes.values.shape[0]
+    # The blur that a fit of motion can confuse with motion is the mean over channels, extra and diffraction together.
+    slope = np.zeros((4, len(solution.p)))
+    slope[0, 2] = slope[1, 3] = slope[2, 4] = slope[3, 5] = 1.0
+    for index in range(n):
+        slope[3, COMMON + 4 * index] = 1 / n
+        slope[3, COMMON + 4 * index + 1] = 0.45 * solution.p[COMMON + 4 * index + 1] / n
+    q = solution.p[2:5]
+    form = Ellipse(q, lens, slope @ covariance @ slope.T)
+    flags = set()
+    axes = np.linalg.eigvalsh(np.array([[q[0], q[1]], [q[1], q[2]]]))
+    contrast = {int(c): float(k) for c, k in zip(planes.channel, solution.light[:, 3], strict=True)}
+    fitted = 0.5 < axes[0] / dot.semi_minor_px < 2 and np.all(np.isfinite(solution.p)) and min(contrast.values()) > 0.02
+    if not fitted:
+        flags.add(Flag.NOT_FOUND)
+    if solution.chi2 > POOR_CHI2 and known:
+        flags.add(Flag.POOR_FIT)
+    # The channels' offsets are relative to the target's own centre: on average there is none.
+    mean = np.zeros((2, len(solution.p)))
+    mean[0, 0] = mean[1, 1] = 1.0
+    mean[0, COMMON + 2 :: 4] = mean[1, COMMON + 3 :: 4] = 1 / n
+    centre, cov = mean @ solution.p, mean @ covariance @ mean.T
+    return SharpTarget(
+        dot.name, centre, cov, form, contrast, noise, known, dot.paper_px, solution.chi2, frozenset(flags)
+    )

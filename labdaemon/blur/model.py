@@ -1,0 +1,109 @@
+"""The modelled picture of a smeared target in a patch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labdaemon.blur import shapes
+from labdaemon.blur.locate import Blob, find_blob, masked
+from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
+from labdaemon.blur.pixels import ComplexArray, FloatArray, Patch
+from labdaemon.blur.render import darkness, shifted
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.solve import Model
+from labdaemon.blur.texture import Texture
+
+Motion = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray | ComplexArray, FloatArray | ComplexArray]]
+"""From fx, fy and motion parameters to the transfer function and its derivatives (m, rows, columns)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """What a fit needs besides its parameters.
+
+    Attributes
+    ----------
+    planes, grid
+        The patch, cropped and masked, and its frequencies.
+    spectra, by_shape
+        The target's spectra there and their derivatives by its shape.
+    start_px
+        (2,) where to begin, frame coordinates.
+    blob
+        The smear as first seen; None for a texture.
+    """
+
+    planes: Planes
+    grid: Grid
+    spectra: ComplexArray
+    by_shape: ComplexArray
+    start_px: FloatArray
+    blob: Blob | None
+
+
+def prepare(sharp: SharpTarget, patch: Patch, expected_px: FloatArray) -> Setting | None:
+    """Find the smear in the patch, crop to it, and evaluate the target's spectra; None if there is none."""
+    if min(patch.shape) < 5:
+        return None
+    if isinstance(sharp.form, Texture):
+        return _prepare_texture(sharp, sharp.form, patch, expected_px)
+    half_w, half_h = sharp.form.half_size_px
+    area = np.pi * half_w * half_h
+    blob = find_blob(patch, expected_px, area, sharp.contrast)
+    if blob is None or blob.area_px2 > 2.5 * area:
+        return None
+    margin = 6 + int(0.15 * half_w)
+    left, top, right, bottom = blob.box_px
+    hidden = masked(patch, blob.others)
+    cut = hidden.crop(left - margin, top - margin, right - left + 1 + 2 * margin, bottom - top + 1 + 2 * margin)
+    planes = split(cut)
+    height, width = cut.shape
+    grid = make_grid((height + 4, width + 4), sharp.form.oversampling)
+    spectra, by_shape = sharp.form.spectra(grid, planes.channel)
+    return Setting(planes, grid, spectra, by_shape, blob.centre_px, blob)
+
+
+def _prepare_texture(sharp: SharpTarget, form: Texture, patch: Patch, expected_px: FloatArray) -> Setting | None:
+    width, height = form.box_size_px
+    left, top = (int(np.rint(v)) for v in expected_px - (np.array([width, height]) - 1) / 2)
+    cut = patch.crop(left, top, width, height)
+    if cut.shape[0] < 0.5 * height or cut.shape[1] < 0.5 * width or np.count_nonzero(cut.valid) < 0.3 * width * height:
+        return None
+    planes = split(cut)
+    grid = make_grid((form.dark.shape[1] + 4, form.dark.shape[2] + 4))
+    spectra, by_shape = form.spectra(grid, planes.channel)
+    return Setting(planes, grid, spectra, by_shape, np.asarray(expected_px, dtype=np.float64), None)
+
+
+def blurred_model(setting: Setting, motion: Motion | None) -> Model:
+    """Darkness of a moving target.
+
+    Parameters are x, y, extra variance, the shape parameters' deviations, then the motion's own. `motion` None is rest.
+    """
+    grid, planes = setting.grid, setting.planes
+    f2 = grid.fx**2 + grid.fy**2
+    shape = setting.by_shape
+    k = shape.shape[0]
+
+    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        whole = shapes.gaussian(f2, p[2]).astype(np.complex128)
+        by_motion = np.zeros((0, *f2.shape), dtype=np.complex128)
+        if motion is not None:
+            transfer, slopes = motion(grid.fx, grid.fy, p[3 + k :])
+            by_motion = slopes * whole
+            whole = whole * transfer
+        own = setting.spectra + np.tensordot(p[3 : 3 + k], shape, axes=1) if np.any(p[3 : 3 + k]) else setting.spectra
+        turn = -2j * np.pi * whole
+        factors = np.concatenate(
+            (np.stack((whole, turn * grid.fx, turn * grid.fy, -2 * np.pi**2 * f2 * whole)), by_motion)
+        )
+        moved = shifted(own, grid, planes, p[:2])
+        by_form = shifted(shape * whole, grid, planes, p[:2])
+        spectra = np.concatenate((factors[:4, None] * moved, by_form, factors[4:, None] * moved))
+        images = darkness(spectra, grid, planes)
+        return images[0], images[1:]
+
+    return model

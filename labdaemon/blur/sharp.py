@@ -1,0 +1,195 @@
+"""A target at rest: everything about it that later fits need, worked out once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.blur import shapes
+from labdaemon.blur.mosaic import Grid
+from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel
+from labdaemon.errors import UsageError
+from labdaemon.flags import Flag
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lens:
+    """The lens blur of each colour channel: an aperture's diffraction times a Gaussian.
+
+    Attributes
+    ----------
+    channel
+        (n,) channel numbers.
+    variance_px2
+        (n,) variance of the Gaussian part; may be slightly negative.
+    width_px
+        (n,) wavelength times f-number on the sensor, px; 0 for a lens that diffraction does not limit.
+    offset_px
+        (n, 2) each channel's centre against the target's (lateral chromatic aberration).
+    """
+
+    channel: NDArray[np.int64]
+    variance_px2: FloatArray
+    width_px: FloatArray
+    offset_px: FloatArray
+
+    def rows(self, channel: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Which row belongs to each of `channel`."""
+        order = {int(number): row for row, number in enumerate(self.channel)}
+        try:
+            return np.array([order[int(number)] for number in channel])
+        except KeyError as missing:
+            raise UsageError(f"colour channel {missing} is not in the sharp frame; use frames of one camera") from None
+
+    def transfer(self, grid: Grid, channel: NDArray[np.int64]) -> ComplexArray:
+        """(n, rows, columns) transfer function with the pixel and the channel's offset."""
+        f2 = grid.fx**2 + grid.fy**2
+        f = np.sqrt(f2)
+        common = shapes.pixel(grid.fx, grid.fy)
+        result = np.empty((len(channel), *f2.shape), dtype=np.complex128)
+        for place, row in enumerate(self.rows(channel)):
+            blur = shapes.gaussian(f2, float(self.variance_px2[row])) * common
+            if self.width_px[row] > 0:
+                blur = blur * shapes.diffraction(f, float(self.width_px[row]))
+            shift = grid.fx * self.offset_px[row, 0] + grid.fy * self.offset_px[row, 1]
+            result[place] = blur * np.exp(-2j * np.pi * shift)
+        return result
+
+
+class Form(Protocol):
+    """What a target looks like at rest, as spectra about its centre."""
+
+    def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
+        """Spectra of the darkness and their derivatives by the uncertain shape parameters.
+
+        Returns
+        -------
+        spectrum, derivatives
+            (n, rows, columns) and (k, n, rows, columns).
+        """
+        ...
+
+    @property
+    def shape_covariance(self) -> FloatArray:
+        """(k, k) covariance of the shape parameters, as the sharp frame left it."""
+        ...
+
+    @property
+    def half_size_px(self) -> tuple[float, float]:
+        """Half width and half height of the target."""
+        ...
+
+    @property
+    def moment_px2(self) -> FloatArray:
+        """(2, 2) second central moment of its darkness over its total, blur and pixel included."""
+        ...
+
+    @property
+    def oversampling(self) -> int:
+        """Oversampling of the frequencies that it needs."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ellipse:
+    """A uniformly dark ellipse behind a lens.
+
+    Attributes
+    ----------
+    q_px
+        (3,) the matrix [[q0, q1], [q1, q2]] that maps the unit disc to the ellipse.
+    lens
+        Blur of each channel.
+    shape_covariance
+        (4, 4) covariance of q0, q1, q2 (px) and the blur's variance (px²).
+    """
+
+    q_px: FloatArray
+    lens: Lens
+    shape_covariance: FloatArray
+
+    def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
+        """Closed form; derivatives by q0, q1, q2 and the blur's variance."""
+        lens = self.lens.transfer(grid, channel)
+        dark, by_q = shapes.ellipse(grid.fx, grid.fy, self.q_px)
+        spectrum = dark * lens
+        derivatives = np.empty((4, *lens.shape), dtype=np.complex128)
+        derivatives[:3] = by_q[:, None] * lens[None]
+        derivatives[3] = -2 * np.pi**2 * (grid.fx**2 + grid.fy**2) * spectrum
+        return spectrum, derivatives
+
+    @property
+    def half_size_px(self) -> tuple[float, float]:
+        """Half width and half height."""
+        q0, q1, q2 = self.q_px
+        return float(np.hypot(q0, q1)), float(np.hypot(q1, q2))
+
+    @property
+    def moment_px2(self) -> FloatArray:
+        """QQᵀ/4 and the core of the blur (an Airy pattern's own second moment does not exist)."""
+        q = np.array([[self.q_px[0], self.q_px[1]], [self.q_px[1], self.q_px[2]]])
+        blur = float(np.mean(self.lens.variance_px2 + (0.45 * self.lens.width_px) ** 2)) + 1 / 12
+        result: FloatArray = q @ q / 4 + blur * np.eye(2)
+        return result
+
+    @property
+    def oversampling(self) -> int:
+        """2 where the sharpest channel passes more than 2 % at the Nyquist frequency."""
+        at = np.array([0.5])
+        passed = [
+            float(shapes.gaussian(at**2, float(v))[0] * shapes.diffraction(at, float(w))[0])
+            for v, w in zip(self.lens.variance_px2, self.lens.width_px, strict=True)
+        ]
+        return 2 if max(passed) > 0.06 else 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharpTarget:
+    """A target at rest.
+
+    Attributes
+    ----------
+    name
+        The target's name.
+    centre_px
+        (2,) x and y in the frame.
+    covariance_px2
+        (2, 2) of the centre.
+    form
+        Its spectrum.
+    contrast
+        Per channel number, 1 − ink/white (1 for a texture, whose contrast is its own).
+    noise
+        The noise model in use; `noise_known` tells whether it was given or estimated here.
+    paper_px
+        Distance from the centre to the paper's edge.
+    chi2
+        Mean squared normalised residual of the sharp fit.
+    flags
+        `poor_fit` for a sharp frame that is itself blurred or not a dot, `saturated`, `not_found`.
+    """
+
+    name: str
+    centre_px: FloatArray
+    covariance_px2: FloatArray
+    form: Form
+    contrast: dict[int, float]
+    noise: NoiseModel
+    noise_known: bool = True
+    paper_px: float = float("inf")
+    chi2: float = 1.0
+    flags: frozenset[Flag] = field(default_factory=frozenset)
+
+    @property
+    def usable(self) -> bool:
+        """Whether later fits can rest on it."""
+        return Flag.NOT_FOUND not in self.flags and bool(np.all(np.isfinite(self.centre_px)))
+
+
+def usable(targets: Sequence[SharpTarget]) -> list[SharpTarget]:
+    """Those that later fits can rest on."""
+    return [target for target in targets if target.usable]

@@ -1,0 +1,42 @@
+"""How much each pixel counts, and what is known before the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from labdaemon.blur.mosaic import Planes
+from labdaemon.blur.motion import ExtraBlur
+from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.solve import Prior, Solution
+
+
+def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Prior:
+    """Prior on (x, y, extra variance, shape…, motion…): defocus from the controls, shape from the sharp frame."""
+    covariance = sharp.form.shape_covariance
+    k = len(covariance)
+    precision = np.zeros((3 + k + motion_count, 3 + k + motion_count))
+    precision[2, 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
+    if k:
+        precision[3 : 3 + k, 3 : 3 + k] = np.linalg.pinv(covariance + 1e-10 * np.eye(k), hermitian=True)
+    mean = np.zeros(len(precision))
+    mean[2] = blur.mean_px2
+    return Prior(mean, precision)
+
+
+def pixel_weights(sharp: SharpTarget, planes: Planes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
+    """Inverse variances by the target's noise model."""
+    noise = sharp.noise
+
+    def weights(signal: FloatArray) -> FloatArray:
+        variance = (noise.variance(signal) + (noise.texture * signal) ** 2) * scale
+        return np.where(planes.valid, 1 / np.maximum(variance, 1e-12), 0.0)
+
+    return weights
+
+
+def variance_scale(sharp: SharpTarget, solution: Solution) -> float:
+    """Factor on the covariance where residuals exceed the noise model."""
+    return max(solution.chi2, 1.0) if sharp.noise_known else max(solution.chi2, 1e-6)
