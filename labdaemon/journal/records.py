@@ -65,6 +65,8 @@ class CaptureRecord:
         Opening time of each camera after the release, where measured, seconds.
     cameras
         Names of the cameras that owe a frame.
+    files
+        Name and time of each camera's file, as the camera tells them; known from ``exposed`` on.
     """
 
     campaign: str
@@ -84,6 +86,7 @@ class CaptureRecord:
     phase_rad: float | None
     sd_phase_rad: float | None
     cameras: tuple[str, ...]
+    files: dict[str, tuple[str, str]]
     reason: str | None
 
 
@@ -177,6 +180,12 @@ def frame_of_card(journal: Journal, camera: str, card_name: str, captured_at: st
     return FrameRecord(*rows[0]) if rows else None
 
 
+def known_files(journal: Journal, camera: str) -> set[tuple[str, str]]:
+    """Name and time of the files on a camera's card that are none of ours."""
+    rows = journal.read("SELECT card_name, captured_at FROM known_files WHERE camera = ?", camera)
+    return {(row[0], row[1]) for row in rows}
+
+
 def results(journal: Journal, campaign: str) -> list[ResultRecord]:
     """A campaign's results in the order in which they were measured."""
     rows = journal.read(
@@ -195,5 +204,6 @@ def _capture(row: tuple[Any, ...]) -> CaptureRecord:
     values = dict(zip((field.name for field in fields(CaptureRecord)), row, strict=True))
     values["is_sharp"] = bool(values["is_sharp"])
     values["opening_s"] = json.loads(values["opening_s"])
+    values["files"] = {camera: (name, at) for camera, (name, at) in json.loads(values["files"]).items()}
     values["cameras"] = tuple(json.loads(values["cameras"]))
     return CaptureRecord(**values)

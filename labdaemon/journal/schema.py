@@ -50,6 +50,7 @@ CREATE TABLE captures (
     phase_rad REAL,
     sd_phase_rad REAL,
     cameras TEXT NOT NULL,
+    files TEXT NOT NULL DEFAULT '{}',
     reason TEXT,
     PRIMARY KEY (campaign, name)
 ) STRICT, WITHOUT ROWID;
@@ -67,6 +68,12 @@ CREATE TABLE frames (
 ) STRICT;
 CREATE INDEX frames_on_card ON frames (camera, card_name, captured_at);
 CREATE INDEX frames_of_capture ON frames (campaign, capture);
+CREATE TABLE known_files (
+    camera TEXT NOT NULL,
+    card_name TEXT NOT NULL,
+    captured_at TEXT NOT NULL,
+    PRIMARY KEY (camera, card_name, captured_at)
+) STRICT, WITHOUT ROWID;
 CREATE TABLE results (
     campaign TEXT NOT NULL,
     name TEXT NOT NULL,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from labdaemon.journal.journal import Journal, Transaction
@@ -86,7 +86,8 @@ def intend_capture(journal: Journal, capture: CaptureRecord) -> None:
     """Note a capture before it is fired, so that a frame found later on a card has something to belong to."""
     with journal.transaction("capture.intended") as write:
         write.execute(
-            "INSERT INTO captures VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'intended', ?, ?, ?, NULL, '{}', NULL, NULL, ?, NULL)",
+            "INSERT INTO captures (campaign, name, step, shot, label, is_sharp, sharp, grouped, state, frequency_hz, "
+            "amplitude_mm, exposure_s, cameras) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'intended', ?, ?, ?, ?)",
             capture.campaign,
             capture.name,
             capture.step,
@@ -128,10 +129,15 @@ def fire_capture(
         _answer(write, request_id, "capture", {"capture": name, "opened_at": opened_at})
 
 
-def expose_capture(journal: Journal, campaign: str, name: str) -> None:
-    """The shutters have closed and the excitation had not changed: the frames are worth keeping."""
+def expose_capture(journal: Journal, campaign: str, name: str, files: Mapping[str, tuple[str, str]]) -> None:
+    """The shutters have closed and the excitation had not changed: these files are worth keeping."""
     with journal.transaction("capture.exposed") as write:
-        write.execute("UPDATE captures SET state = 'exposed' WHERE campaign = ? AND name = ?", campaign, name)
+        write.execute(
+            "UPDATE captures SET state = 'exposed', files = ? WHERE campaign = ? AND name = ?",
+            json.dumps(dict(files)),
+            campaign,
+            name,
+        )
 
 
 def store_frame(journal: Journal, frame: FrameRecord) -> None:
@@ -150,6 +156,13 @@ def store_frame(journal: Journal, frame: FrameRecord) -> None:
             frame.sha256,
             frame.state,
         )
+
+
+def know_files(journal: Journal, camera: str, files: Iterable[tuple[str, str]]) -> None:
+    """Note files on a camera's card, by name and time, that are none of ours: they are left alone for good."""
+    with journal.transaction("card.known") as write:
+        for card_name, captured_at in files:
+            write.execute("INSERT OR IGNORE INTO known_files VALUES (?, ?, ?)", camera, card_name, captured_at)
 
 
 def complete_capture(journal: Journal, campaign: str, name: str, data: Mapping[str, Any]) -> None:

@@ -1,0 +1,224 @@
+"""One capture, from the table's excitation to stored frames: its whole journey is `take`, top to bottom."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from labdaemon.capture.collect import store, wait_all, wait_frame
+from labdaemon.capture.devices import CardFile
+from labdaemon.capture.pairing import CameraClocks
+from labdaemon.capture.places import (
+    campaign_folder,
+    capture_toml,
+    frame_path,
+    set_aside_path,
+    with_opening,
+)
+from labdaemon.capture.recorder import Recorder
+from labdaemon.capture.rig import CALL_S, Rig
+from labdaemon.capture.settle import Excitation
+from labdaemon.capture.table import Table
+from labdaemon.clock import Clock, rfc3339
+from labdaemon.errors import DeviceError, DeviceRefused, InterlockError
+from labdaemon.journal import transitions
+from labdaemon.journal.frames import write_durably
+from labdaemon.journal.records import CaptureRecord, FrameRecord
+
+EXPOSURE_WITHIN = 0.01
+"""A body whose own exposure differs from the planned one by more than this, relative, is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChoice:
+    """What the rig file sets on a body besides the exposure; None leaves it to the body's dials."""
+
+    f_number: float | None = None
+    iso: int | None = None
+
+
+@dataclass(slots=True)
+class Lab:
+    """Everything a capture is taken with.
+
+    Attributes
+    ----------
+    data
+        The data folder.
+    cameras
+        Settings by camera name.
+    camera_timeout_s
+        A frame that has not come this long after its exposure never will.
+    exposures_s
+        What each body is set to now.
+    """
+
+    rig: Rig
+    table: Table
+    recorder: Recorder
+    clock: Clock
+    data: Path
+    cameras: Mapping[str, CameraChoice] = field(default_factory=dict)
+    camera_timeout_s: float = 30.0
+    clocks: CameraClocks = field(default_factory=CameraClocks)
+    exposures_s: dict[str, float] = field(default_factory=dict)
+
+
+Fired = Callable[[CaptureRecord], None]
+Stored = Callable[[CaptureRecord], Awaitable[None]]
+
+
+async def take(
+    lab: Lab,
+    order: CaptureRecord,
+    excitation: Excitation | None,
+    *,
+    measure: Stored,
+    phase_rad: float | None = None,
+    request_id: str | None = None,
+    fired: Fired = lambda capture: None,
+) -> CaptureRecord:
+    """Take one capture.
+
+    Parameters
+    ----------
+    lab
+        What it is taken with.
+    order
+        What it is to be; its name is new to the journal.
+    excitation
+        What the table is brought to first; None to leave it as it is.
+    measure
+        Takes the stored capture over and publishes its envelope in its own time. It is awaited, so a full queue
+        makes the table wait.
+    phase_rad
+        Excitation phase at which to open, None for any.
+    request_id
+        Of the request that asked for it, answered in the journal once fired.
+    fired
+        Called once the shutters have opened.
+
+    Returns
+    -------
+    CaptureRecord
+        As stored.
+
+    Raises
+    ------
+    DeviceError, DataError, InterlockError
+        It came to nothing. Whatever it left, on cards and in the journal, is for `labdaemon.capture.recover`.
+    """
+    if excitation is not None:
+        await lab.table.shake(excitation)
+    await _expose_for(lab, order.exposure_s)
+    await set_strays_aside(lab)
+
+    await lab.recorder.write(transitions.intend_capture, order)
+    capture, opened_s = await _fire(lab, order, phase_rad, request_id)
+    fired(capture)
+
+    files = await wait_all(lab.rig, lab.recorder, lab.clock, capture.exposure_s + lab.camera_timeout_s)
+    lab.clocks.check(files, opened_s, capture.exposure_s)
+    await lab.table.confirm()
+    if excitation is not None and lab.table.excitation != excitation:
+        raise InterlockError("the table was stopped during the exposure")
+
+    capture = await keep(lab, capture, files)
+    await measure(capture)
+    return capture
+
+
+async def keep(lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile]) -> CaptureRecord:
+    """Store one file a camera as this capture's frames, which the journal then vouches for."""
+    named = {camera: (file.name, file.captured_at) for camera, file in files.items()}
+    await lab.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named)
+    frames = await asyncio.gather(*(_store(lab, capture, camera, file) for camera, file in files.items()))
+    return await complete(lab, replace(capture, files=named), list(frames))
+
+
+async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
+    """Every frame is stored: write what measuring needs beside them, and tell."""
+    if not capture.is_sharp:
+        folder = campaign_folder(lab.data, capture.campaign) / "captures" / capture.name
+        write_durably(folder / "capture.toml", capture_toml(capture))
+    told = {
+        "step": capture.step,
+        "label": capture.label,
+        "sharp": capture.is_sharp,
+        "opened_at": capture.opened_at,
+        "exposure_s": capture.exposure_s,
+        "frequency_hz": capture.frequency_hz,
+        "excitation_amplitude_mm": capture.amplitude_mm,
+        "frames": [
+            {"camera": frame.camera, "path": frame.path, "size_bytes": frame.size_bytes, "sha256": frame.sha256}
+            for frame in frames
+        ],
+    }
+    await lab.recorder.write(transitions.complete_capture, capture.campaign, capture.name, told)
+    return replace(capture, state="stored")
+
+
+async def set_strays_aside(lab: Lab) -> None:
+    """Fetch files that nobody asked for, so that none of them is taken for the next capture's."""
+    for name, camera in lab.rig.cameras.items():
+        while (file := await wait_frame(camera, lab.recorder, lab.clock, 0.0)) is not None:
+            path = set_aside_path(lab.data, "", "", name, file.name)
+            await store(camera, file, path, lab.recorder, lab.clock, campaign="", capture="", state="set_aside")
+
+
+async def _expose_for(lab: Lab, exposure_s: float) -> None:
+    """Set every body to this exposure, once."""
+    for name, camera in lab.rig.cameras.items():
+        if lab.exposures_s.get(name) == exposure_s:
+            continue
+        choice = lab.cameras.get(name, CameraChoice())
+        own_s = await camera.call(
+            lambda driver, choice=choice: driver.configure(  # type: ignore[misc]
+                exposure_s=exposure_s, f_number=choice.f_number, iso=choice.iso
+            )
+        )
+        if abs(own_s - exposure_s) > EXPOSURE_WITHIN * exposure_s:
+            raise DeviceRefused(
+                f"exposes for {own_s:.4g} s where {exposure_s:.4g} s was planned; set its dial to M or S", device=name
+            )
+        lab.exposures_s[name] = exposure_s
+
+
+async def _fire(
+    lab: Lab, order: CaptureRecord, phase_rad: float | None, request_id: str | None
+) -> tuple[CaptureRecord, float]:
+    """Release the shutters; the capture with its opening, and the opening on the host's monotonic clock."""
+    if lab.rig.trigger is None:
+        raise DeviceError("shutters are released by an outside system; use a phase of kind external", device="trigger")
+    firing = await lab.rig.trigger.call(
+        lambda driver: driver.fire(order.exposure_s, frequency_hz=order.frequency_hz, phase_rad=phase_rad),
+        order.exposure_s + CALL_S,
+    )
+    opened_s = lab.clock.monotonic()
+    capture = with_opening(order, rfc3339(firing.opened_at), firing.opening_s, firing.phase_rad, firing.sd_phase_rad)
+    await lab.recorder.write(
+        transitions.fire_capture,
+        capture.campaign,
+        capture.name,
+        opened_at=rfc3339(firing.opened_at),
+        opening_s=capture.opening_s,
+        phase_rad=capture.phase_rad,
+        sd_phase_rad=capture.sd_phase_rad,
+        request_id=request_id,
+    )
+    return capture, opened_s
+
+
+async def _store(lab: Lab, capture: CaptureRecord, camera: str, file: CardFile) -> FrameRecord:
+    path = frame_path(lab.data, capture, camera, file)
+    return await store(
+        lab.rig.cameras[camera],
+        file,
+        path,
+        lab.recorder,
+        lab.clock,
+        campaign=capture.campaign,
+        capture=capture.name,
+    )

@@ -1,0 +1,349 @@
+"""A rig in memory, for simulated time: devices that answer at once and say how long they would have taken.
+
+Not a stand-in for the wire simulators, which test drivers; this tests whoever calls drivers, for days at a time. The
+table follows the shaker, the structure rings up behind it, cameras keep files on a card, and any operation of any
+device can be made to fail.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from labdaemon.capture.devices import (
+    CameraInfo,
+    CameraStatus,
+    CardFile,
+    Firing,
+    GaugeReading,
+    ShakerState,
+)
+from labdaemon.capture.lines import InlineLine
+from labdaemon.capture.rig import Rig, Wired
+from labdaemon.clock import Clock
+from labdaemon.errors import DeviceRefused, ProtocolError, TransportError
+
+FaultKind = Literal["gone", "rubbish", "refused", "silent", "slow", "torn", "lost_file", "stray_file"]
+FAULT_KINDS: tuple[FaultKind, ...] = (
+    "gone",
+    "rubbish",
+    "refused",
+    "silent",
+    "slow",
+    "torn",
+    "lost_file",
+    "stray_file",
+)
+"""Port gone; answer not in its protocol; a plain no; never an answer; one too late; a broken transfer; no file after a
+release; a file of nobody's."""
+
+HEARTBEAT_S = 1.5
+"""Without one for so long the enable line drops by itself."""
+
+
+@dataclass(slots=True)
+class FakeWorld:
+    """What the fake devices share: the table, the structure, and time.
+
+    Attributes
+    ----------
+    faults
+        Queue of faults by ``device.operation``; each call of that operation takes one.
+    response_gain
+        Structure's amplitude over the table's, in steady state.
+    stopped_at
+        Monotonic times of every stop command that reached the shaker.
+    """
+
+    clock: Clock
+    damping_ratio: float = 0.01
+    response_gain: float = 3.0
+    running: bool = False
+    frequency_hz: float = 5.0
+    amplitude_mm: float = 0.0
+    changed_at: float = -1e9
+    before_mm: float = 0.0
+    heartbeat_at: float | None = None
+    enabled: bool = True
+    faults: dict[str, deque[FaultKind]] = field(default_factory=dict)
+    faults_met: int = 0
+    stopped_at: list[float] = field(default_factory=list)
+    fired: int = 0
+    spent_s: float = 0.0
+    on_call: Callable[[str], None] = lambda operation: None
+
+    def fail(self, operation: str, *kinds: FaultKind) -> None:
+        """Let the next calls of ``device.operation`` fail like this, one each."""
+        self.faults.setdefault(operation, deque()).extend(kinds)
+
+    def enter(self, device: str, operation: str, cost_s: float = 0.01) -> FaultKind | None:
+        """Every fake call starts here: lets time pass, and fails where it is told to."""
+        self.spent_s = cost_s
+        self.on_call(f"{device}.{operation}")
+        waiting = self.faults.get(f"{device}.{operation}")
+        if not waiting:
+            return None
+        self.faults_met += 1
+        kind = waiting.popleft()
+        match kind:
+            case "gone":
+                raise TransportError("port is gone", device=device)
+            case "rubbish":
+                raise ProtocolError("answered rubbish", device=device)
+            case "refused":
+                raise DeviceRefused("said no", device=device)
+            case "silent":
+                self.spent_s = math.inf
+                raise TransportError("never answered", device=device)
+            case "slow":
+                self.spent_s = 1e4
+                raise TransportError("answered too late", device=device)
+        return kind
+
+    def take_spent_s(self) -> float:
+        """Seconds that the last call took."""
+        spent_s, self.spent_s = self.spent_s, 0.0
+        return spent_s
+
+    def moves(self) -> bool:
+        """Whether the table shakes: told to, and the amplifier still enabled."""
+        beaten = self.heartbeat_at is None or self.clock.monotonic() - self.heartbeat_at < HEARTBEAT_S
+        return self.running and self.enabled and beaten
+
+    def drive(self, running: bool, frequency_hz: float, amplitude_mm: float) -> None:
+        """Change the excitation; the structure follows with its own time constant."""
+        self.before_mm = self.response_mm()
+        self.running, self.frequency_hz, self.amplitude_mm = running, frequency_hz, amplitude_mm
+        self.changed_at = self.clock.monotonic()
+
+    def response_mm(self) -> float:
+        """Semi-amplitude of the structure now: 1/(ζ·2πf) seconds to 63 % of its way."""
+        goal = self.response_gain * self.amplitude_mm if self.moves() else 0.0
+        rate = self.damping_ratio * 2.0 * math.pi * self.frequency_hz
+        passed_s = max(self.clock.monotonic() - self.changed_at, 0.0)
+        return goal + (self.before_mm - goal) * math.exp(-rate * passed_s)
+
+
+@dataclass(slots=True)
+class FakeShaker:
+    """A controller that does what it is told."""
+
+    world: FakeWorld
+    name: str = "shaker"
+
+    def connect(self) -> str:
+        self.world.enter(self.name, "connect")
+        return "fake shaker"
+
+    def set(self, frequency_hz: float, amplitude_mm: float) -> None:
+        self.world.enter(self.name, "set", 1.0)
+        self.world.drive(True, frequency_hz, amplitude_mm)
+
+    def state(self) -> ShakerState:
+        self.world.enter(self.name, "state")
+        return ShakerState(self.world.running, self.world.frequency_hz, self.world.amplitude_mm)
+
+    def stop(self) -> None:
+        self.world.enter(self.name, "stop", 0.5)
+        self.world.stopped_at.append(self.world.clock.monotonic())
+        self.world.drive(False, self.world.frequency_hz, self.world.amplitude_mm)
+
+    def stop_now(self) -> None:
+        self.world.enter(self.name, "stop_now")
+        self.world.stopped_at.append(self.world.clock.monotonic())
+        self.world.drive(False, self.world.frequency_hz, self.world.amplitude_mm)
+
+    def close(self) -> None:
+        self.world.enter(self.name, "close")
+
+
+@dataclass(slots=True)
+class FakeTrigger:
+    """Releases all of the world's cameras."""
+
+    world: FakeWorld
+    cameras: list[FakeCamera]
+    name: str = "trigger"
+
+    def connect(self) -> str:
+        self.world.enter(self.name, "connect")
+        return "fake trigger"
+
+    def fire(self, exposure_s: float, *, frequency_hz: float | None = None, phase_rad: float | None = None) -> Firing:
+        self.world.enter(self.name, "fire", 0.05)
+        self.world.fired += 1
+        for camera in self.cameras:
+            camera.release(exposure_s)
+        opening_s = {camera.name: 0.001 * place for place, camera in enumerate(self.cameras, 1)}
+        return Firing(self.world.clock.now(), opening_s, phase_rad, 0.01)
+
+    def wait(self, timeout_s: float) -> Firing | None:
+        self.world.enter(self.name, "wait", timeout_s)
+        return None
+
+    def heartbeat(self) -> None:
+        self.world.enter(self.name, "heartbeat", 0.001)
+        self.world.heartbeat_at = self.world.clock.monotonic()
+
+    def drop_enable(self) -> None:
+        self.world.enter(self.name, "drop_enable")
+        self.world.enabled = False
+
+    def close(self) -> None:
+        self.world.enter(self.name, "close")
+
+
+@dataclass(slots=True)
+class FakeCamera:
+    """A body with a card. Its frames are small, and each is unlike any other.
+
+    Attributes
+    ----------
+    card
+        What is on the card: file and content, by handle.
+    arriving
+        Handle and monotonic time of files that the host has not been told of yet.
+    made
+        SHA-256 of every frame it ever took.
+    """
+
+    world: FakeWorld
+    name: str
+    battery_percent: int | None = 100
+    free_bytes: int | None = 8_000_000_000
+    card: dict[int, tuple[CardFile, bytes]] = field(default_factory=dict)
+    arriving: deque[tuple[int, float]] = field(default_factory=deque)
+    made: list[str] = field(default_factory=list)
+    exposure_s: float = 1.0
+
+    def connect(self) -> CameraInfo:
+        self.world.enter(self.name, "connect", 0.5)
+        return CameraInfo("labdaemon", "fake", self.name)
+
+    def configure(
+        self, *, exposure_s: float | None = None, f_number: float | None = None, iso: int | None = None
+    ) -> float:
+        self.world.enter(self.name, "configure")
+        self.exposure_s = exposure_s or self.exposure_s
+        return self.exposure_s
+
+    def exposure_steps_s(self) -> tuple[float, ...]:
+        self.world.enter(self.name, "exposure_steps_s")
+        return (0.5, 1.0, 2.0)
+
+    def status(self) -> CameraStatus:
+        self.world.enter(self.name, "status")
+        return CameraStatus(self.battery_percent, self.free_bytes)
+
+    def release(self, exposure_s: float) -> None:
+        """What the shutter cable does."""
+        kind = self.world.enter(self.name, "release", 0.05)
+        if kind == "lost_file":
+            return
+        number = len(self.made) + 1
+        opened_s = self.world.clock.monotonic()
+        content = (
+            f"{self.name} {number} {self.world.frequency_hz} {self.world.amplitude_mm} {self.world.moves()} {opened_s}"
+        ).encode()
+        self.made.append(hashlib.sha256(content).hexdigest())
+        at = self.world.clock.now().strftime("%Y%m%dT%H%M%S")
+        handle = 0x10000 + number
+        file = CardFile(handle, f"DSC_{number:05d}.DNG", len(content), at)
+        self.card[handle] = (file, content)
+        self.arriving.append((handle, opened_s + exposure_s + 0.5))
+
+    def wait_file(self, timeout_s: float) -> CardFile | None:
+        kind = self.world.enter(self.name, "wait_file")
+        if kind == "stray_file":
+            self.release(0.0)
+        now_s = self.world.clock.monotonic()
+        if self.arriving and self.arriving[0][1] <= now_s + timeout_s:
+            handle, at_s = self.arriving.popleft()
+            self.world.spent_s = max(at_s - now_s, 0.01)
+            if handle in self.card:
+                return self.card[handle][0]
+        else:
+            self.world.spent_s = max(timeout_s, 0.001)
+        return None
+
+    def files(self) -> list[CardFile]:
+        self.world.enter(self.name, "files", 0.1)
+        return [file for file, _ in self.card.values()]
+
+    def download(self, file: CardFile, to: Path) -> None:
+        kind = self.world.enter(self.name, "download", 0.5)
+        content = self.card[file.handle][1]
+        to.write_bytes(content[: len(content) // 2] if kind == "torn" else content)
+        if kind == "torn":
+            raise TransportError("the transfer broke", device=self.name)
+
+    def delete(self, file: CardFile) -> None:
+        self.world.enter(self.name, "delete")
+        self.card.pop(file.handle, None)
+
+    def close(self) -> None:
+        self.world.enter(self.name, "close")
+
+
+@dataclass(slots=True)
+class FakeGauge:
+    """Reads the world's table or structure, without noise to speak of."""
+
+    world: FakeWorld
+    name: str
+    role: str
+    unit: str = "mm"
+    gain: float = 1.0
+
+    def connect(self) -> str:
+        self.world.enter(self.name, "connect")
+        return "fake gauge"
+
+    def read(self, frequency_hz: float, *, duration_s: float) -> GaugeReading:
+        self.world.enter(self.name, "read", 0.01)
+        if self.role == "table":
+            value, change = (self.world.amplitude_mm if self.world.moves() else 0.0), 0.0
+        else:
+            value = self.world.response_mm()
+            goal = self.world.response_gain * self.world.amplitude_mm if self.world.moves() else 0.0
+            change = abs(goal - value) / max(value, 1e-9) * 2.0 * math.pi * self.world.damping_ratio
+        return GaugeReading(self.gain * value, 1e-4, 0.0, change)
+
+    def close(self) -> None:
+        self.world.enter(self.name, "close")
+
+
+@dataclass(slots=True)
+class FakeRig:
+    """The whole rig: two cameras, shaker, trigger box and a gauge on table and structure."""
+
+    world: FakeWorld
+    cameras: list[FakeCamera]
+    shaker: FakeShaker
+    trigger: FakeTrigger
+    gauges: list[FakeGauge]
+    rig: Rig
+
+
+def fake_rig(clock: Clock, *, cameras: tuple[str, ...] = ("left", "right")) -> FakeRig:
+    """A rig in memory for a `labdaemon.clock.SimulatedClock`."""
+    world = FakeWorld(clock)
+    bodies = [FakeCamera(world, name) for name in cameras]
+    shaker, trigger = FakeShaker(world), FakeTrigger(world, bodies)
+    gauges = [FakeGauge(world, "table", "table"), FakeGauge(world, "response", "response")]
+
+    def line(device: str) -> InlineLine:
+        return InlineLine(device, world.take_spent_s)
+
+    rig = Rig(
+        Wired(shaker, line("shaker")),
+        Wired(trigger, line("trigger")),
+        {body.name: Wired(body, line(body.name)) for body in bodies},
+        tuple(Wired(gauge, line(gauge.name)) for gauge in gauges),
+    )
+    return FakeRig(world, bodies, shaker, trigger, gauges, rig)

@@ -1,0 +1,169 @@
+"""One thread a device: its blocking calls wait there, with a deadline, and never hold up the event loop.
+
+A call that outlasts its deadline is given up: its thread is abandoned (Python cannot stop it) and the next call gets a
+new one. Urgent calls, a hard stop above all, go past whatever the device is busy with; drivers take them from any
+thread at any time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import queue
+import threading
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+from labdaemon.errors import TransportError
+
+T = TypeVar("T")
+
+MAX_ABANDONED = 8
+"""Threads that may hang in one device's driver before it is declared dead for this run of the daemon."""
+
+
+class Line(Protocol):
+    """How a device's blocking calls are made from the event loop."""
+
+    async def call(self, function: Callable[[], T], timeout_s: float) -> T:
+        """Call it after the device's earlier calls; `TransportError` when it has not returned in time."""
+        ...
+
+    async def urgent(self, function: Callable[[], T], timeout_s: float) -> T:
+        """Call it now, whatever the device is busy with."""
+        ...
+
+    def close(self) -> None:
+        """Let the thread end."""
+        ...
+
+
+class _Worker:
+    """A thread that makes calls one after the other."""
+
+    def __init__(self, name: str) -> None:
+        self._calls: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._work, name=name, daemon=True).start()
+
+    def put(self, call: Callable[[], None] | None) -> None:
+        self._calls.put(call)
+
+    def _work(self) -> None:
+        while (call := self._calls.get()) is not None:
+            call()
+
+
+class DeviceLine:
+    """A device's own thread.
+
+    Parameters
+    ----------
+    device
+        Its name, for messages.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._worker: _Worker | None = None
+        self._urgent: _Worker | None = None
+        self._abandoned = 0
+
+    async def call(self, function: Callable[[], T], timeout_s: float) -> T:
+        if self._worker is None:
+            self._worker = _Worker(self._device)
+        worker = self._worker
+        try:
+            return await self._wait(worker, function, timeout_s)
+        except TimeoutError:
+            if self._worker is worker:
+                self._worker = None
+            raise self._give_up(worker, timeout_s) from None
+
+    async def urgent(self, function: Callable[[], T], timeout_s: float) -> T:
+        if self._urgent is None:
+            self._urgent = _Worker(f"{self._device} (urgent)")
+        worker = self._urgent
+        try:
+            return await self._wait(worker, function, timeout_s)
+        except TimeoutError:
+            if self._urgent is worker:
+                self._urgent = None
+            raise self._give_up(worker, timeout_s) from None
+
+    def close(self) -> None:
+        for worker in (self._worker, self._urgent):
+            if worker is not None:
+                worker.put(None)
+        self._worker = self._urgent = None
+
+    async def _wait(self, worker: _Worker, function: Callable[[], T], timeout_s: float) -> T:
+        if self._abandoned >= MAX_ABANDONED:
+            raise TransportError(
+                f"hung {self._abandoned} times; power-cycle it and restart the daemon", device=self._device
+            )
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[T] = loop.create_future()
+
+        def settle(result: T | None, error: BaseException | None) -> None:
+            if future.done():
+                return
+            if error is not None:
+                future.set_exception(error)
+            else:
+                future.set_result(result)  # type: ignore[arg-type]
+
+        def run() -> None:
+            result, error = None, None
+            try:
+                result = function()
+            except BaseException as exc:
+                error = exc
+            try:
+                loop.call_soon_threadsafe(settle, result, error)
+            except RuntimeError:
+                return  # the loop has closed: nobody waits any more
+
+        worker.put(run)
+        async with asyncio.timeout(timeout_s):
+            return await future
+
+    def _give_up(self, worker: _Worker, timeout_s: float) -> TransportError:
+        self._abandoned += 1
+        worker.put(None)
+        return TransportError(f"did not answer within {timeout_s:g} s; check its cable and power", device=self._device)
+
+
+class InlineLine:
+    """For simulated time: makes the call at once and lets the time pass that the device says it took.
+
+    Parameters
+    ----------
+    device
+        Its name, for messages.
+    spent_s
+        Seconds that the last call took, asked right after it; infinite for one that never answers.
+    """
+
+    def __init__(self, device: str, spent_s: Callable[[], float]) -> None:
+        self._device, self._spent_s = device, spent_s
+        self._turn = asyncio.Lock()
+
+    async def call(self, function: Callable[[], T], timeout_s: float) -> T:
+        async with self._turn:
+            return await self.urgent(function, timeout_s)
+
+    async def urgent(self, function: Callable[[], T], timeout_s: float) -> T:
+        result, error = None, None
+        try:
+            result = function()
+        except Exception as exc:
+            error = exc
+        spent_s = self._spent_s()
+        await asyncio.sleep(min(spent_s, timeout_s))
+        if spent_s > timeout_s:
+            raise TransportError(f"did not answer within {timeout_s:g} s", device=self._device)
+        if error is not None:
+            raise error
+        return result  # type: ignore[return-value]
+
+    def close(self) -> None:
+        """Nothing to end."""

@@ -1,0 +1,91 @@
+"""Where a capture's files lie: a campaign's folder is a data-set folder that `labdaemon process` reproduces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import pi
+from pathlib import Path, PurePath
+
+from labdaemon.capture.devices import CardFile
+from labdaemon.journal.records import CaptureRecord
+
+
+def campaign_folder(data: Path, campaign: str) -> Path:
+    """The data-set folder of a campaign."""
+    return data / "campaigns" / campaign
+
+
+def sharp_folder(data: Path, campaign: str, sharp: str | None) -> Path:
+    """Where the frames of a sharp set lie."""
+    folder = campaign_folder(data, campaign) / "sharp"
+    return folder / sharp if sharp else folder
+
+
+def frame_path(data: Path, capture: CaptureRecord, camera: str, file: CardFile) -> Path:
+    """Final place of one camera's frame: sharp frames are numbered within their set from the second on."""
+    ending = PurePath(file.name).suffix.lower() or ".raw"
+    if capture.is_sharp:
+        number = f"-{capture.shot + 1}" if capture.shot else ""
+        return sharp_folder(data, capture.campaign, capture.sharp) / f"{camera}{number}{ending}"
+    return campaign_folder(data, capture.campaign) / "captures" / capture.name / f"{camera}{ending}"
+
+
+def set_aside_path(data: Path, campaign: str, capture: str, camera: str, name: str) -> Path:
+    """Where a frame goes that belongs to no completed capture."""
+    root = campaign_folder(data, campaign) if campaign else data
+    return root / "set_aside" / (capture or "strays") / f"{camera}-{PurePath(name).name}"
+
+
+def opening_phase(capture: CaptureRecord) -> float | None:
+    """Excitation phase at the cameras' mean opening, radians in [0, 2π); None where it was not seen."""
+    return None if capture.phase_rad is None else capture.phase_rad % (2.0 * pi)
+
+
+def capture_toml(capture: CaptureRecord) -> str:
+    """The capture's `capture.toml`: what measuring needs to know of it, and what a person wants to."""
+    lines: list[str] = []
+    if capture.frequency_hz is not None:
+        lines.append(f"frequency_hz = {capture.frequency_hz!r}")
+    lines.append(f"exposure_s = {capture.exposure_s!r}")
+    phase_rad = opening_phase(capture)
+    if phase_rad is not None:
+        lines.append(f"phase_rad = {phase_rad!r}")
+        lines.append(f"sd_phase_rad = {capture.sd_phase_rad or 0.0!r}")
+    if capture.grouped:
+        lines.append(f'group = "{capture.grouped}"')
+    if capture.sharp:
+        lines.append(f'sharp = "{capture.sharp}"')
+    if capture.opened_at:
+        lines.append(f'opened_at = "{capture.opened_at}"')
+    if capture.amplitude_mm is not None:
+        lines.append(f"excitation_amplitude_mm = {capture.amplitude_mm!r}")
+    lines.append(f"step = {capture.step}")
+    lines += _camera_phases(capture, phase_rad)
+    return "\n".join(lines) + "\n"
+
+
+def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> list[str]:
+    """Each body's own opening phase, from its measured lag behind the mean."""
+    if phase_rad is None or capture.frequency_hz is None or not capture.opening_s:
+        return []
+    mean_s = sum(capture.opening_s.values()) / len(capture.opening_s)
+    lines: list[str] = []
+    for camera, opening_s in sorted(capture.opening_s.items()):
+        own = (phase_rad + 2.0 * pi * capture.frequency_hz * (opening_s - mean_s)) % (2.0 * pi)
+        lines += [f"[cameras.{camera}]", f"phase_rad = {own!r}"]
+    return lines
+
+
+def with_opening(
+    capture: CaptureRecord, opened_at: str, opening_s: Mapping[str, float], phase_rad: float | None, sd: float
+) -> CaptureRecord:
+    """The capture as it is once fired."""
+    return replace(
+        capture,
+        state="fired",
+        opened_at=opened_at,
+        opening_s=dict(opening_s),
+        phase_rad=phase_rad,
+        sd_phase_rad=sd if phase_rad is not None else None,
+    )

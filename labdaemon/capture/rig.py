@@ -1,0 +1,114 @@
+"""The physical set-up as the daemon holds it: each driver on a line of its own, and the ways to bring it to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, TypeVar
+
+from labdaemon.capture.devices import Camera, Gauge, Shaker, Trigger
+from labdaemon.capture.lines import Line
+from labdaemon.errors import DeviceError, InterlockError
+
+D = TypeVar("D")
+T = TypeVar("T")
+
+CALL_S = 10.0
+"""Deadline of an ordinary call; drivers' own are shorter."""
+
+SOFT_STOP_S = 15.0
+"""A ramp from full stroke to rest takes this long at most."""
+
+HARD_STOP_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wired(Generic[D]):
+    """A driver, and the line on which it is called."""
+
+    driver: D
+    line: Line
+
+    async def call(self, function: Callable[[D], T], timeout_s: float = CALL_S) -> T:
+        """Call it in turn; `TransportError` past the deadline."""
+        return await self.line.call(lambda: function(self.driver), timeout_s)
+
+    async def urgent(self, function: Callable[[D], T], timeout_s: float = HARD_STOP_S) -> T:
+        """Call it at once, whatever it is busy with."""
+        return await self.line.urgent(lambda: function(self.driver), timeout_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """All devices by what they are; `shaker` and `trigger` are None where others hold them."""
+
+    shaker: Wired[Shaker] | None
+    trigger: Wired[Trigger] | None
+    cameras: Mapping[str, Wired[Camera]]
+    gauges: tuple[Wired[Gauge], ...] = field(default=())
+
+    def gauge(self, role: Literal["table", "response"]) -> Wired[Gauge] | None:
+        """The first gauge mounted there, if any."""
+        return next((gauge for gauge in self.gauges if gauge.driver.role == role), None)
+
+    async def close(self) -> None:
+        """Give every wire back. The table must be at rest."""
+        devices: list[Wired[Any]] = [*self.gauges, *self.cameras.values()]
+        devices += [device for device in (self.trigger, self.shaker) if device is not None]
+        for device in devices:
+            try:
+                await device.call(lambda driver: driver.close(), HARD_STOP_S)
+            except DeviceError:
+                pass  # it is gone already; nothing else hangs on it
+            finally:
+                device.line.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """How the table was brought to rest.
+
+    Attributes
+    ----------
+    by
+        ``soft`` and ``hard`` are the shaker's own confirmed stops, ``enable`` the trigger box's line to the
+        amplifier, ``none`` that there is no shaker of ours.
+    troubles
+        What each way that was tried before answered.
+    """
+
+    by: Literal["soft", "hard", "enable", "none"]
+    troubles: tuple[str, ...] = ()
+
+
+async def bring_to_rest(rig: Rig, *, at_once: bool = False) -> Rest:
+    """Stop the table: ramp down; if that is not confirmed, output off; if that is not, drop the enable line.
+
+    Parameters
+    ----------
+    at_once
+        Leave out the ramp.
+
+    Raises
+    ------
+    InterlockError
+        Nothing confirmed. The message says to use the emergency stop.
+    """
+    if rig.shaker is None:
+        return Rest("none")
+    shaker, trigger = rig.shaker, rig.trigger
+    ways: list[tuple[Literal["soft", "hard", "enable"], Callable[[], Coroutine[Any, Any, None]]]] = []
+    if not at_once:
+        ways.append(("soft", lambda: shaker.urgent(lambda driver: driver.stop(), SOFT_STOP_S)))
+    ways.append(("hard", lambda: shaker.urgent(lambda driver: driver.stop_now())))
+    if trigger is not None:
+        ways.append(("enable", lambda: trigger.urgent(lambda driver: driver.drop_enable())))
+    troubles: list[str] = []
+    for by, stop in ways:
+        try:
+            await stop()
+        except DeviceError as exc:
+            troubles.append(str(exc))
+        else:
+            return Rest(by, tuple(troubles))
+    raise InterlockError(f"THE TABLE DID NOT CONFIRM A STOP ({'; '.join(troubles)}): use the emergency stop")

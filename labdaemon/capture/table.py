@@ -1,0 +1,151 @@
+"""The table as a capture needs it: at its excitation and settled, or at rest, and still so when the shutters close."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+
+from labdaemon.capture.devices import GaugeReading
+from labdaemon.capture.rig import Rest, Rig, bring_to_rest
+from labdaemon.capture.settle import Excitation, Settled, ring_s, wait_settled
+from labdaemon.clock import Clock
+from labdaemon.errors import DeviceError, InterlockError
+
+SET_S = 60.0
+"""A ramp between two excitations takes this long at most."""
+
+TRIM_WITHIN = 0.01
+"""The table's amplitude is corrected until the gauge agrees to this, relative."""
+
+TRIM_TRIES = 3
+FREQUENCY_WITHIN = 1e-3
+AMPLITUDE_WITHIN = 0.02
+
+
+def displacement_mm(reading: GaugeReading, unit: str, frequency_hz: float) -> float:
+    """A gauge's amplitude as displacement; an accelerometer's is divided by (2πf)²."""
+    if unit == "m/s2":
+        return 1000.0 * reading.value / (2.0 * math.pi * frequency_hz) ** 2
+    return reading.value
+
+
+class Table:
+    """The shaker table and what stands on it.
+
+    Parameters
+    ----------
+    rig
+        Its devices.
+    clock
+        For waits.
+    disagreement
+        Largest relative difference between amplitude set and read by the table gauge; None for no check.
+    """
+
+    def __init__(self, rig: Rig, clock: Clock, disagreement: float | None) -> None:
+        self._rig, self._clock, self._disagreement = rig, clock, disagreement
+        self._stops = 0
+        self._stopping = asyncio.Lock()
+        self._last_hz: float | None = None
+        self.excitation: Excitation | None = None
+        """What it was last set to; None at rest."""
+        self.settled: Settled | None = None
+        """What the gauges said when it had settled there."""
+        self.on_stop: Callable[[], None] = lambda: None
+        """Called when a stop is about to be sent."""
+
+    async def shake(self, excitation: Excitation) -> Settled:
+        """Bring table and structure to this excitation and wait until they have settled.
+
+        Raises
+        ------
+        DeviceError
+            The shaker did not take it, or the structure does not settle.
+        InterlockError
+            The table gauge reads another amplitude than was set, or somebody stopped the table meanwhile.
+        """
+        if self._rig.shaker is None:
+            raise DeviceError("the rig has no shaker, so nothing can be set", device="shaker")
+        if excitation == self.excitation and self.settled is not None:
+            return self.settled
+        stops = self._stops
+        for trial in range(1, TRIM_TRIES + 1):
+            await self._set(excitation)
+            settled = await wait_settled(self._rig, excitation, self._clock)
+            self._refuse_if_stopped(stops)
+            ratio = self._table_ratio(settled, excitation)
+            if ratio is None or abs(ratio - 1.0) <= TRIM_WITHIN:
+                break
+            trim = getattr(self._rig.shaker.driver, "trim", None)
+            if trim is None or trial == TRIM_TRIES or not 0.5 < ratio < 2.0:
+                break
+            await self._rig.shaker.call(lambda driver, trim=trim, ratio=ratio: trim(ratio))  # type: ignore[misc]
+        if ratio is not None and self._disagreement is not None and abs(ratio - 1.0) > self._disagreement:
+            raise InterlockError(
+                f"table gauge reads {ratio * excitation.amplitude_mm:.3g} mm where {excitation.amplitude_mm:.3g} mm "
+                "was set; check gauge, amplifier gain and drive table"
+            )
+        self.settled = settled
+        return settled
+
+    async def rest(self) -> None:
+        """Ramp the table down and wait until the structure has stopped ringing."""
+        if self._rig.shaker is None:
+            return
+        last_hz = self._last_hz
+        await self.stop()
+        if last_hz is not None:
+            await self._clock.sleep(ring_s(last_hz, 0.01))
+            self._last_hz = None
+
+    async def stop(self, *, at_once: bool = False) -> Rest:
+        """Bring the table to rest now, whatever it is doing; see `bring_to_rest`."""
+        self._stops += 1
+        self.excitation = self.settled = None
+        self.on_stop()
+        async with self._stopping:
+            return await bring_to_rest(self._rig, at_once=at_once)
+
+    async def confirm(self) -> None:
+        """Ask the controller whether it still does what it was set to.
+
+        Raises
+        ------
+        DeviceError
+            It does not, so a capture taken meanwhile is worthless.
+        """
+        if self._rig.shaker is None or self.excitation is None:
+            return
+        asked = self.excitation
+        state = await self._rig.shaker.call(lambda driver: driver.state())
+        if (
+            not state.running
+            or abs(state.frequency_hz - asked.frequency_hz) > FREQUENCY_WITHIN * asked.frequency_hz
+            or abs(state.amplitude_mm - asked.amplitude_mm) > AMPLITUDE_WITHIN * asked.amplitude_mm
+        ):
+            self.excitation = self.settled = None
+            raise DeviceError(
+                f"no longer shakes at {asked.frequency_hz:g} Hz and {asked.amplitude_mm:g} mm but "
+                f"{'at' if state.running else 'rests; last'} {state.frequency_hz:g} Hz and {state.amplitude_mm:g} mm; "
+                "somebody or something stopped it",
+                device=self._rig.shaker.driver.name,
+            )
+
+    async def _set(self, excitation: Excitation) -> None:
+        assert self._rig.shaker is not None
+        stops = self._stops
+        self.excitation, self.settled = excitation, None
+        self._last_hz = excitation.frequency_hz
+        await self._rig.shaker.call(lambda driver: driver.set(excitation.frequency_hz, excitation.amplitude_mm), SET_S)
+        self._refuse_if_stopped(stops)
+
+    def _refuse_if_stopped(self, stops: int) -> None:
+        if self._stops != stops:
+            raise InterlockError("the table was stopped while it was being set")
+
+    def _table_ratio(self, settled: Settled, excitation: Excitation) -> float | None:
+        gauge = self._rig.gauge("table")
+        if gauge is None or settled.table is None:
+            return None
+        return displacement_mm(settled.table, gauge.driver.unit, excitation.frequency_hz) / excitation.amplitude_mm

@@ -1,0 +1,108 @@
+"""Frames on disk: written as ``.part``, synced, renamed, their folder synced, and only then vouched for.
+
+Whoever finds a file under its final name can trust it to be whole; whatever ends in ``.part`` is an accident's trace.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+from labdaemon.errors import DataError
+from labdaemon.journal.journal import as_data_error
+
+PART = ".part"
+BLOCK_BYTES = 1 << 20
+
+
+def part_of(path: Path) -> Path:
+    """Where a file is written before it is whole; its folder is made."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise as_data_error(exc, path.parent) from exc
+    return path.with_name(path.name + PART)
+
+
+def seal(path: Path, size_bytes: int | None = None) -> tuple[int, str]:
+    """Make a written ``.part`` durable under its final name.
+
+    Parameters
+    ----------
+    path
+        The final name.
+    size_bytes
+        What its size must be; None if unknown.
+
+    Returns
+    -------
+    Size in bytes and SHA-256 (hex) of what is on disk.
+
+    Raises
+    ------
+    DataError
+        The size is not what it must be; the ``.part`` is removed, so that it can be fetched again.
+    """
+    part = part_of(path)
+    digest = hashlib.sha256()
+    try:
+        with part.open("rb") as file:
+            while block := file.read(BLOCK_BYTES):
+                digest.update(block)
+            written = file.tell()
+            if size_bytes is not None and written != size_bytes:
+                part.unlink()
+                raise DataError(f"has {written} bytes, the camera said {size_bytes}; fetch it again", file=path)
+            os.fsync(file.fileno())
+        part.rename(path)
+        sync_folder(path.parent)
+    except OSError as exc:
+        raise as_data_error(exc, path) from exc
+    return written, digest.hexdigest()
+
+
+def write_durably(path: Path, content: bytes | str) -> None:
+    """Replace a small file whole or not at all, synced."""
+    data = content.encode() if isinstance(content, str) else content
+    part = part_of(path)
+    try:
+        with part.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        part.rename(path)
+        sync_folder(path.parent)
+    except OSError as exc:
+        raise as_data_error(exc, path) from exc
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames in a folder durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def remove_parts(root: Path) -> list[Path]:
+    """Remove every ``.part`` under `root` and tell which they were.
+
+    After a power cut a part's length may promise bytes that never reached the disk, so none is gone on with.
+    """
+    parts = sorted(root.rglob(f"*{PART}"))
+    for part in parts:
+        part.unlink()
+    return parts
+
+
+def move_durably(path: Path, to: Path) -> None:
+    """Rename a file into another folder of the same file system, synced."""
+    try:
+        to.parent.mkdir(parents=True, exist_ok=True)
+        path.rename(to)
+        sync_folder(to.parent)
+        sync_folder(path.parent)
+    except OSError as exc:
+        raise as_data_error(exc, path) from exc
