@@ -1,0 +1,183 @@
+"""Events out: what the journal has committed, in order, each once, with a status every second as heartbeat.
+
+The journal is the outbox. The publisher only ever sends what it reads back from there, so an event is on disk before
+anybody hears of it, and a subscriber that missed some finds them by `seq` and asks ``events.replay``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import zmq
+import zmq.asyncio
+
+from labdaemon.clock import Clock, rfc3339
+from labdaemon.journal.event import Event
+from labdaemon.stream.messages import InvalidParams
+from labdaemon.stream.sockets import bind
+
+STATUS_PERIOD_S = 1.0
+GREETING_PAUSE_S = 0.02
+"""Between two answers to new subscriptions, so that a flood of them costs little."""
+BATCH = 256
+"""Events read from the outbox at a time."""
+MAX_REPLAY = 1000
+MAX_REPLAY_BYTES = 4 << 20
+"""An answer stays below this, so that a client far behind asks several times instead of choking the daemon once."""
+
+
+class Outbox(Protocol):
+    """Where committed events are read from: the journal."""
+
+    @property
+    def uuid(self) -> str:
+        """The journal's identity."""
+        ...
+
+    @property
+    def last_seq(self) -> int:
+        """`seq` of the last committed event, 0 before the first."""
+        ...
+
+    def events_after(self, seq: int, limit: int) -> Sequence[Event]:
+        """Committed events with a larger `seq`, ascending, at most `limit`."""
+        ...
+
+
+class EventPublisher:
+    """The events socket.
+
+    Parameters
+    ----------
+    address
+        ``tcp://127.0.0.1:PORT``.
+    outbox
+        The journal.
+    status
+        Called every second for the heartbeat's ``data``; ``campaign`` in it is also the message's own.
+    clock
+        Stamps the status.
+    """
+
+    def __init__(self, address: str, outbox: Outbox, status: Callable[[], dict[str, Any]], clock: Clock) -> None:
+        self.address = address
+        self._outbox, self._status, self._clock = outbox, status, clock
+        self._context = zmq.asyncio.Context()
+        self._socket: zmq.asyncio.Socket | None = None
+        self._news = asyncio.Event()
+        self._sent = outbox.last_seq
+
+    def bind(self) -> None:
+        """Take the address.
+
+        Raises
+        ------
+        ConfigError
+            It is taken.
+        """
+        self._socket = bind(self._context, zmq.XPUB, self.address, key="service.events")
+        self._socket.set(zmq.XPUB_VERBOSE, 1)
+        self.address = self._socket.get_string(zmq.LAST_ENDPOINT)
+
+    def wake(self) -> None:
+        """Something was committed: send it now. Cheap; call it on the loop's thread."""
+        self._news.set()
+
+    async def run(self) -> None:
+        """Publish until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._greet())
+            tasks.create_task(self._publish())
+
+    async def _publish(self) -> None:
+        loop = asyncio.get_running_loop()
+        status_due = loop.time()
+        while True:
+            self._news.clear()
+            await self._send_committed()
+            if loop.time() >= status_due:
+                await self._send_status()
+                status_due = max(status_due + STATUS_PERIOD_S, loop.time())
+            try:
+                async with asyncio.timeout_at(status_due):
+                    await self._news.wait()
+            except TimeoutError:
+                pass
+
+    async def _send_committed(self) -> None:
+        while events := self._outbox.events_after(self._sent, BATCH):
+            for event in events:
+                await self._bound.send_multipart([event.kind.encode(), event.to_json()])
+                self._sent = event.seq
+            await asyncio.sleep(0)
+
+    async def _send_status(self) -> None:
+        """The heartbeat. Its `seq` is the last one sent before it on this socket, so a gap shows at once."""
+        data = self._status()
+        message = {
+            "v": 1,
+            "seq": self._sent,
+            "at": rfc3339(self._clock.now()),
+            "kind": "status",
+            "campaign": data.get("campaign"),
+            "journal": self._outbox.uuid,
+            "data": data,
+        }
+        await self._bound.send_multipart(
+            [b"status", json.dumps(message, allow_nan=False, separators=(",", ":")).encode()]
+        )
+
+    async def _greet(self) -> None:
+        """Answer each new subscription with a status, so that a client knows at once where the history stands."""
+        while True:
+            message = await self._bound.recv_multipart()
+            if message[0][:1] == b"\x01":
+                await self._send_status()
+                await asyncio.sleep(GREETING_PAUSE_S)
+
+    @property
+    def _bound(self) -> zmq.asyncio.Socket:
+        if self._socket is None:
+            raise RuntimeError("bind comes before run")
+        return self._socket
+
+    def close(self) -> None:
+        """Deliver what is under way and give the address back."""
+        if self._socket is not None:
+            self._socket.close()
+        self._context.term()
+
+
+def replay(outbox: Outbox, params: dict[str, Any]) -> dict[str, Any]:
+    """Answer ``events.replay``.
+
+    Parameters
+    ----------
+    params
+        ``after`` (default 0) and ``limit`` (default and at most 1000; fewer may come, so ask until `last` is reached).
+
+    Returns
+    -------
+    dict
+        ``events`` with a larger `seq`, ascending; ``last``, the journal's last `seq`; and ``journal``, its UUID.
+
+    Raises
+    ------
+    InvalidParams
+        `after` or `limit` is no number of events.
+    """
+    after, limit = params.get("after", 0), params.get("limit", MAX_REPLAY)
+    for name, value in (("after", after), ("limit", limit)):
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 62:
+            raise InvalidParams(f"{name} is a whole number from 0, not {str(value)[:40]}")
+    events: list[dict[str, Any]] = []
+    size = 0
+    for event in outbox.events_after(after, min(limit, MAX_REPLAY)) if limit else ():
+        size += len(event.to_json())
+        if events and size > MAX_REPLAY_BYTES:
+            break
+        events.append(event.as_dict())
+    return {"events": events, "last": outbox.last_seq, "journal": outbox.uuid}

@@ -1,0 +1,203 @@
+"""Commands as they travel: JSON-RPC 2.0 without batches, and how our errors become its codes and back.
+
+A request is one frame of UTF-8 JSON. Members that nobody knows are ignored, so that a newer client can talk to an
+older daemon. Numbers that JSON does not have (NaN, infinities, a float beyond double range) are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, NoReturn
+
+from labdaemon.errors import ConfigError, DeviceError, InterlockError, LabdaemonError, LimitError, UsageError
+
+PARSE_ERROR = -32700
+INVALID_REQUEST = -32600
+METHOD_NOT_FOUND = -32601
+INVALID_PARAMS = -32602
+INTERNAL_ERROR = -32603
+BUSY = -32000
+FORBIDDEN = -32001
+LIMITS = -32002
+NOT_FOUND = -32003
+WRONG_STATE = -32004
+DEVICE = -32005
+
+NAMES = {
+    PARSE_ERROR: "parse_error",
+    INVALID_REQUEST: "invalid_request",
+    METHOD_NOT_FOUND: "method_not_found",
+    INVALID_PARAMS: "invalid_params",
+    INTERNAL_ERROR: "internal_error",
+    BUSY: "busy",
+    FORBIDDEN: "forbidden",
+    LIMITS: "limits",
+    NOT_FOUND: "not_found",
+    WRONG_STATE: "wrong_state",
+    DEVICE: "device",
+}
+"""Code -> the word in ``error.data.name``."""
+
+RequestId = str | int | float | None
+
+
+class CommandError(LabdaemonError):
+    """A command that cannot be done now, or not by this client."""
+
+    code: ClassVar[int] = INTERNAL_ERROR
+
+
+class Busy(CommandError):
+    """Something else has to end first."""
+
+    code = BUSY
+    retryable = True
+
+
+class Forbidden(CommandError):
+    """The client may not."""
+
+    code = FORBIDDEN
+
+
+class NotFound(CommandError):
+    """What the command names does not exist."""
+
+    code = NOT_FOUND
+
+
+class WrongState(CommandError):
+    """The campaign or the rig is not in a state for it."""
+
+    code = WRONG_STATE
+
+
+class InvalidParams(CommandError):
+    """Parameters are missing, of a wrong type or out of range."""
+
+    code = INVALID_PARAMS
+
+
+class BadRequest(Exception):
+    """A frame that is no request.
+
+    Attributes
+    ----------
+    code
+        `PARSE_ERROR` or `INVALID_REQUEST`.
+    id
+        The request's id as far as it could be read, None otherwise.
+    """
+
+    def __init__(self, code: int, message: str, request_id: RequestId = None) -> None:
+        super().__init__(message)
+        self.code, self.id = code, request_id
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A command as it came.
+
+    Attributes
+    ----------
+    id
+        Mirrored in the answer.
+    is_notification
+        It had no id, so it is done and not answered.
+    """
+
+    method: str
+    params: dict[str, Any]
+    id: RequestId
+    is_notification: bool
+
+
+def parse_request(frame: bytes) -> Request:
+    """Read one frame.
+
+    Raises
+    ------
+    BadRequest
+        Not JSON, or JSON that is no request.
+    """
+    try:
+        document = json.loads(frame.decode(), parse_constant=_refuse_constant, parse_float=_finite)
+    except (ValueError, RecursionError) as exc:
+        raise BadRequest(PARSE_ERROR, f"not JSON: {_short(exc)}") from None
+    if isinstance(document, list):
+        raise BadRequest(INVALID_REQUEST, "batches are not supported; send one request a message")
+    if not isinstance(document, dict):
+        raise BadRequest(INVALID_REQUEST, "a request is a JSON object")
+    request_id = document.get("id")
+    if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+        raise BadRequest(INVALID_REQUEST, "id is a string, a number or null")
+    if document.get("jsonrpc") != "2.0":
+        raise BadRequest(INVALID_REQUEST, 'jsonrpc is "2.0"', request_id)
+    method, params = document.get("method"), document.get("params", {})
+    if not isinstance(method, str):
+        raise BadRequest(INVALID_REQUEST, "method is a string", request_id)
+    if not isinstance(params, dict | list):
+        raise BadRequest(INVALID_REQUEST, "params is an object", request_id)
+    if isinstance(params, list):
+        if params:
+            raise BadRequest(INVALID_PARAMS, "params go by name: send an object", request_id)
+        params = {}
+    return Request(method, params, request_id, "id" not in document)
+
+
+def request_bytes(method: str, params: dict[str, Any], request_id: RequestId) -> bytes:
+    """A request as a client sends it."""
+    document = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def result_bytes(result: Any, request_id: RequestId) -> bytes:
+    """The answer to a command that was done.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The result is not JSON (NaN among it).
+    """
+    document = {"jsonrpc": "2.0", "id": request_id, "result": result}
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def error_bytes(code: int, message: str, request_id: RequestId, **data: Any) -> bytes:
+    """The answer to a command that was not done; `data` goes beside the code's name."""
+    error = {"code": code, "message": message, "data": {"name": NAMES.get(code, "error"), **data}}
+    return json.dumps({"jsonrpc": "2.0", "id": request_id, "error": error}, separators=(",", ":")).encode()
+
+
+def code_of(error: LabdaemonError) -> int:
+    """Which code tells a client about this error: by who is at fault."""
+    match error:
+        case CommandError():
+            return error.code
+        case LimitError():
+            return LIMITS
+        case ConfigError() | UsageError():
+            return INVALID_PARAMS
+        case InterlockError():
+            return WRONG_STATE
+        case DeviceError():
+            return DEVICE
+        case _:
+            return INTERNAL_ERROR
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:20]} is out of range")
+    return value
+
+
+def _short(error: Exception) -> str:
+    return "nested too deeply" if isinstance(error, RecursionError) else str(error)[:200]
