@@ -1,0 +1,231 @@
+"""Renders a frame as a camera would have taken it: from the motion itself, over the shutter's own window.
+
+Nothing here is shared with the measurement: no law of dwell times is assumed for any motion. Each dot is drawn by the
+area that it covers and added up over thousands of moments, each sent through the lens (see `label` and `window`);
+then come diffraction for each colour, the light, the mosaic, and the noise (see `optics`, `sensor`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from labdrivers.sim.background import HALF, backdrop
+from labdrivers.sim.label import Path, Smear, View, follow, smear_tag, smear_target
+from labdrivers.sim.lens import Camera, FloatArray, Shift
+from labdrivers.sim.optics import Optics
+from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
+from labdrivers.sim.sensor import FloatImage, Sensor
+from labdrivers.sim.window import FINE, develop
+
+Motion = Callable[[FloatArray], FloatArray]
+"""Ascending times (n,) s -> displacement (n, 3) mm from rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendering:
+    """A frame and what really happened in it.
+
+    Attributes
+    ----------
+    mosaic
+        (h, w) uint16 as read out.
+    truth
+        By target's name.
+    mean_dn
+        (h, w) float32 expected DN above black, before fixed pattern, noise and clipping.
+    """
+
+    mosaic: Mosaic
+    truth: dict[str, TargetTruth]
+    mean_dn: FloatImage
+
+
+def render_frame(
+    scene: Scene | dict[str, Any],
+    camera: Camera | dict[str, Any],
+    *,
+    motions: Mapping[str, Motion] | None = None,
+    panel_motion: Motion | None = None,
+    opened_s: float = 0.0,
+    exposure_s: float = 1.0,
+    frequency_hz: float | None = None,
+    phase_rad: float = 0.0,
+    white_dn: float = 2900.0,
+    shift: Shift | tuple[float, float, float] | None = None,
+    optics: Optics | dict[str, Any] | None = None,
+    sensor: Sensor | dict[str, Any] | None = None,
+    occluders: tuple[Occluder, ...] = (),
+    seed: int = 0,
+    fine: int = FINE,
+) -> Rendering:
+    """Expose one frame.
+
+    Every argument that is a class of this package may also be a plain mapping of its attributes.
+
+    Parameters
+    ----------
+    scene
+        What stands before the camera.
+    camera
+        Where it stands, and its lens.
+    motions
+        By target's name: displacement over time. Who is not named stays at rest.
+    panel_motion
+        Displacement (corners, n, 3) of the panels' corners at times (n,), for the looks of it.
+    opened_s, exposure_s
+        The shutter's window, on the motions' clock.
+    frequency_hz, phase_rad
+        Excitation and its phase at the opening: only for the truth's a and b.
+    white_dn
+        What white paper of reflectance `scene.paper` reads above black in the middle of the frame, in green.
+    shift
+        How the frame sits against the camera's surveyed place: x px, y px, roll rad.
+    optics, sensor
+        Lens blur; mosaic and noise.
+    occluders
+        Things in front of everything.
+    seed
+        Of this frame's noise.
+    fine
+        Cells along a pixel's side in which coverage is sampled.
+
+    Returns
+    -------
+    Rendering
+        The mosaic and each target's truth.
+    """
+    scene = Scene.of(scene)
+    camera = camera if isinstance(camera, Camera) else Camera(**camera)
+    shift = shift if isinstance(shift, Shift) else Shift(*(shift or ()))
+    optics = optics if isinstance(optics, Optics) else Optics(**(optics or {}))
+    sensor = sensor if isinstance(sensor, Sensor) else Sensor(**(sensor or {}))
+    view = View(camera, shift)
+    window_s = (opened_s, exposure_s)
+    planes = _planes(backdrop(scene, view, panel_motion, window_s, 1.2), sensor, camera.image_size)
+    for index in range(len(scene.tags)):
+        _composite(planes, smear_tag(scene, index, view, fine), optics, sensor)
+    truth: dict[str, TargetTruth] = {}
+    for index, target in enumerate(scene.targets):
+        motion = (motions or {}).get(target.name)
+        rest = np.asarray(target.centre_mm, float)
+        path = (
+            follow(view, rest, motion, window_s)
+            if motion is not None
+            else Path(np.array([opened_s + 0.5 * exposure_s]), np.zeros((1, 3)))
+        )
+        truth[target.name] = _truth(target.name, rest, view, path, opened_s, frequency_hz, phase_rad)
+        _composite(planes, smear_target(scene, index, view, path, fine), optics, sensor)
+    mean_dn = _interleave(planes, camera.image_size)
+    for occluder in occluders:
+        _occlude(mean_dn, occluder)
+    mean_dn *= _light(scene, camera.image_size) * np.float32(white_dn / scene.paper)
+    _colour(mean_dn, sensor)
+    return Rendering(sensor.expose(mean_dn, seed), truth, mean_dn)
+
+
+Planes = dict[tuple[int, int], FloatImage]
+"""The four sites of a 2 × 2 mosaic: (row, column) -> every second pixel from there."""
+
+
+def _planes(reflectance: FloatImage, sensor: Sensor, image_size: tuple[int, int]) -> Planes:
+    width, height = image_size
+    planes: Planes = {}
+    for row in range(HALF):
+        for column in range(HALF):
+            rows, columns = (height - row + 1) // HALF, (width - column + 1) // HALF
+            planes[row, column] = np.ascontiguousarray(reflectance[:rows, :columns, sensor.colour(row, column)])
+    return planes
+
+
+def _composite(planes: Planes, smear: Smear | None, optics: Optics, sensor: Sensor) -> None:
+    """Put a card in front of what is there: its own light, and the rest dimmed by the time it was hidden."""
+    if smear is None:
+        return
+    window = smear.window
+    light = develop(smear.light, window, optics)
+    cover = develop(smear.cover, window, optics)
+    for (row, column), plane in planes.items():
+        colour = sensor.colour(row, column)
+        top, left = (window.y0 - row) % HALF, (window.x0 - column) % HALF
+        first_row, first_column = (window.y0 + top - row) // HALF, (window.x0 + left - column) // HALF
+        mine = (slice(top, None, HALF), slice(left, None, HALF))
+        part_light, part_cover = light[colour][mine], cover[colour][mine]
+        rows, columns = part_light.shape
+        r0, c0 = max(first_row, 0), max(first_column, 0)
+        r1, c1 = min(first_row + rows, plane.shape[0]), min(first_column + columns, plane.shape[1])
+        if r0 >= r1 or c0 >= c1:
+            continue
+        inner = (slice(r0 - first_row, r1 - first_row), slice(c0 - first_column, c1 - first_column))
+        behind = plane[r0:r1, c0:c1]
+        hidden = np.clip(part_cover[inner], 0.0, 1.0)
+        # Behind the card only the far skirts of the lens's blur bring light, and those carry no detail.
+        soft = cv2.GaussianBlur(behind, (0, 0), 6.0)
+        mixed = behind + (soft - behind) * hidden
+        plane[r0:r1, c0:c1] = mixed * (1.0 - part_cover[inner]) + part_light[inner]
+
+
+def _interleave(planes: Planes, image_size: tuple[int, int]) -> FloatImage:
+    width, height = image_size
+    image = np.empty((height, width), np.float32)
+    for (row, column), plane in planes.items():
+        image[row::HALF, column::HALF] = plane
+    return image
+
+
+def _light(scene: Scene, image_size: tuple[int, int]) -> FloatImage:
+    """Relative illumination (h, w): a gradient and the lens's vignetting, 1 in the middle."""
+    width, height = image_size
+    x = np.linspace(-1.0, 1.0, width, dtype=np.float32)[None, :]
+    y = np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None]
+    corner = 0.5 * (x * x + y * y)
+    gx, gy = (np.float32(0.5 * g) for g in scene.gradient)
+    return np.asarray((1.0 + gx * x + gy * y) * (1.0 - np.float32(scene.vignetting) * corner), np.float32)
+
+
+def _colour(mean_dn: FloatImage, sensor: Sensor) -> None:
+    for row in range(HALF):
+        for column in range(HALF):
+            mean_dn[row::HALF, column::HALF] *= np.float32(sensor.gain(sensor.colour(row, column)))
+
+
+def _occlude(image: FloatImage, occluder: Occluder) -> None:
+    mask = np.zeros(image.shape, np.uint8)
+    corners = np.rint(np.asarray(occluder.polygon_px) * 16).astype(np.int32)
+    cv2.fillPoly(mask, [corners], 255, cv2.LINE_AA, 4)
+    veil = cv2.GaussianBlur(mask.astype(np.float32) / 255.0, (0, 0), occluder.softness_px)
+    image += (np.float32(occluder.reflectance) - image) * veil
+
+
+def _truth(
+    name: str,
+    rest_mm: FloatArray,
+    view: View,
+    path: Path,
+    opened_s: float,
+    frequency_hz: float | None,
+    phase_rad: float,
+) -> TargetTruth:
+    image = view.project(rest_mm + path.displacement_mm)
+    away = image - image.mean(axis=0)
+    moment = away.T @ away / away.shape[0]
+    mean_mm = rest_mm + path.displacement_mm.mean(axis=0)
+    if frequency_hz is None or path.times_s.size == 1:
+        return TargetTruth(name, mean_mm, image.mean(axis=0), moment_px2=moment)
+    angle = phase_rad + 2.0 * np.pi * frequency_hz * (path.times_s - opened_s)
+    design = np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1)
+    fitted = np.linalg.lstsq(design, np.concatenate([path.displacement_mm, image], axis=1))[0]
+    return TargetTruth(
+        name,
+        mean_mm,
+        image.mean(axis=0),
+        a_mm=fitted[1, :3],
+        b_mm=fitted[2, :3],
+        a_px=fitted[1, 3:],
+        b_px=fitted[2, 3:],
+        moment_px2=moment,
+    )
