@@ -1,0 +1,240 @@
+"""The events socket and the client over real ZeroMQ: every event once, in order, whatever is lost on the way."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zmq
+
+from labdaemon.clock import SystemClock
+from labdaemon.errors import ConfigError
+from labdaemon.journal.event import Event
+from labdaemon.stream import events as events_module
+from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon, RemoteError
+from labdaemon.stream.commands import CommandServer
+from labdaemon.stream.events import EventPublisher, replay
+from labdaemon.stream.messages import InvalidParams
+
+
+class ListOutbox:
+    """A journal in memory."""
+
+    def __init__(self, uuid: str = "journal-1", count: int = 0) -> None:
+        self.uuid = uuid
+        self.events: list[Event] = []
+        self.add(count)
+
+    @property
+    def last_seq(self) -> int:
+        return len(self.events)
+
+    def events_after(self, seq: int, limit: int) -> list[Event]:
+        return self.events[seq : seq + limit]
+
+    def add(self, count: int = 1, size: int = 0) -> None:
+        for _ in range(count):
+            seq = len(self.events) + 1
+            data = {"n": seq, "padding": "x" * size}
+            self.events.append(Event(seq, "2026-05-04T10:11:12.000000Z", "step.completed", "c1", data, self.uuid))
+
+
+class Service:
+    """Publisher and command server on a loop of their own, as a daemon has them."""
+
+    def __init__(self, outbox: ListOutbox, events: str = "tcp://127.0.0.1:*", commands: str = "tcp://127.0.0.1:*"):
+        self.outbox = outbox
+        self._events, self._commands = events, commands
+        self._ready, self._stop = threading.Event(), asyncio.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._main()))
+
+    async def _main(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.publisher = EventPublisher(
+            self._events, self.outbox, lambda: {"campaign": None, "state": "idle"}, SystemClock()
+        )
+        self.server = CommandServer(self._commands, {"events.replay": self._replay})
+        self.publisher.bind()
+        self.server.bind()
+        self._ready.set()
+        tasks = [asyncio.create_task(self.publisher.run()), asyncio.create_task(self.server.run())]
+        await self._stop.wait()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self.publisher.close()
+        self.server.close()
+
+    async def _replay(self, params: dict[str, Any]) -> dict[str, Any]:
+        return replay(self.outbox, params)
+
+    def commit(self, count: int = 1, size: int = 0, *, silently: bool = False) -> None:
+        """Add events; `silently` as if they were lost on the way to subscribers."""
+        done = threading.Event()
+
+        def add() -> None:
+            self.outbox.add(count, size)
+            if silently:
+                self.publisher._sent = self.outbox.last_seq
+            self.publisher.wake()
+            done.set()
+
+        self.loop.call_soon_threadsafe(add)
+        assert done.wait(5)
+
+    def __enter__(self) -> Service:
+        self._thread.start()
+        assert self._ready.wait(5)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(10)
+        assert not self._thread.is_alive()
+
+    def client(self) -> Client:
+        return Client(self.server.address, self.publisher.address, timeout_s=5)
+
+
+@contextlib.contextmanager
+def following(client: Client, **options: Any) -> Iterator[EventStream]:
+    """A stream that has seen its first message."""
+    stream = EventStream(client, **options)
+    first = stream.receive(5)
+    assert first is not None
+    yield stream
+    stream.close()
+
+
+def take(stream: EventStream, count: int) -> list[int]:
+    """`seq` of the next events, statuses left out."""
+    seqs: list[int] = []
+    while len(seqs) < count:
+        event = stream.receive(5)
+        assert event is not None, f"silent after {seqs}"
+        if event["kind"] != "status":
+            seqs.append(event["seq"])
+    return seqs
+
+
+def test_a_message_is_topic_and_json() -> None:
+    with Service(ListOutbox(count=3)) as service, zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.connect(service.publisher.address)
+        socket.set(zmq.SUBSCRIBE, b"")
+        topic, body = socket.recv_multipart()
+        status = json.loads(body)
+        assert topic == b"status"
+        assert (status["v"], status["seq"], status["kind"], status["journal"]) == (1, 3, "status", "journal-1")
+        service.commit()
+        while topic == b"status":
+            topic, body = socket.recv_multipart()
+        assert topic == b"step.completed"
+        assert json.loads(body) == {
+            "v": 1,
+            "seq": 4,
+            "at": "2026-05-04T10:11:12.000000Z",
+            "kind": "step.completed",
+            "campaign": "c1",
+            "journal": "journal-1",
+            "data": {"n": 4, "padding": ""},
+        }
+
+
+def test_every_event_once_in_order() -> None:
+    with Service(ListOutbox(count=5)) as service, service.client() as client, following(client) as stream:
+        for count in (1, 700, 3):
+            service.commit(count)
+        assert take(stream, 704) == list(range(6, 710))
+
+
+def test_a_late_client_gets_what_it_missed() -> None:
+    with Service(ListOutbox(count=2500)) as service, service.client() as client:
+        stream = EventStream(client, after=0)
+        assert take(stream, 2500) == list(range(1, 2501))
+        service.commit()
+        assert take(stream, 1) == [2501]
+
+
+def test_events_lost_on_the_way_are_replayed() -> None:
+    with Service(ListOutbox()) as service, service.client() as client, following(client) as stream:
+        service.commit(2)
+        service.commit(3, silently=True)
+        service.commit(1)
+        assert take(stream, 6) == [1, 2, 3, 4, 5, 6]
+        service.commit(2, silently=True)  # the heartbeat tells of these
+        assert take(stream, 2) == [7, 8]
+
+
+def test_the_heartbeat_comes_every_second() -> None:
+    with Service(ListOutbox()) as service, service.client() as client, following(client) as stream:
+        kinds = [event["kind"] for event in (stream.receive(1.5), stream.receive(1.5)) if event is not None]
+        assert kinds == ["status", "status"]
+
+
+def test_another_journal_is_noticed_and_followed_from_its_beginning() -> None:
+    with Service(ListOutbox(count=4)) as service, service.client() as client:
+        stream = EventStream(client)
+        assert stream.receive(5) is not None
+        service.outbox.uuid, service.outbox.events = "journal-2", []
+        service.publisher._sent = 0
+        service.commit(2)
+        with pytest.raises(JournalChanged, match="journal-2"):
+            take(stream, 1)
+        assert take(stream, 2) == [1, 2]
+
+
+def test_a_silent_daemon_is_reported() -> None:
+    with Client("tcp://127.0.0.1:9", "tcp://127.0.0.1:9", timeout_s=0.2) as client:
+        with pytest.raises(NoDaemon, match="labdaemon run"):
+            client.call("status")
+        with pytest.raises(NoDaemon, match="heartbeat"):
+            next(client.events(timeout_s=0.2))
+
+
+def test_a_late_answer_is_not_taken_for_another() -> None:
+    with Service(ListOutbox(count=1)) as service, service.client() as client:
+        socket = client._connected()
+        socket.send(b'{"jsonrpc":"2.0","id":99,"method":"events.replay"}')
+        assert client.replay(0)["last"] == 1
+        with pytest.raises(RemoteError, match="no method") as caught:
+            client.call("nonsense")
+        assert (caught.value.code, caught.value.name) == (-32601, "method_not_found")
+
+
+def test_replay_answers_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    outbox = ListOutbox(count=1500)
+    answer = replay(outbox, {"after": 10, "limit": 5000})
+    assert [event["seq"] for event in answer["events"]] == list(range(11, 1011))
+    assert (answer["last"], answer["journal"]) == (1500, "journal-1")
+    assert replay(outbox, {"after": 1500})["events"] == []
+    assert replay(outbox, {"limit": 0})["events"] == []
+    monkeypatch.setattr(events_module, "MAX_REPLAY_BYTES", 1000)
+    few = replay(outbox, {})["events"]
+    assert 1 <= len(few) < 10
+    outbox.add(1, size=5000)
+    assert len(replay(outbox, {"after": 1500})["events"]) == 1
+
+
+@pytest.mark.parametrize("params", [{"after": -1}, {"after": "x"}, {"after": 1.5}, {"limit": True}, {"limit": 1 << 70}])
+def test_replay_refuses_nonsense(params: dict[str, Any]) -> None:
+    with pytest.raises(InvalidParams):
+        replay(ListOutbox(), params)
+
+
+def test_a_second_publisher_on_the_address_is_told_so() -> None:
+    with Service(ListOutbox()) as service:
+
+        async def second() -> None:
+            other = EventPublisher(service.publisher.address, ListOutbox(), dict, SystemClock())
+            try:
+                other.bind()
+            finally:
+                other.close()
+
+        with pytest.raises(ConfigError, match=r"service\.events: .* is taken"):
+            asyncio.run(second())
