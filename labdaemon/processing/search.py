@@ -24,9 +24,12 @@ CONTRAST_RATIO = (0.5, 1.8)
 """How far the contrast may differ from the sharp frame's: light changes by less, clutter by more."""
 NARROW_RADII = 1.5
 """How far around its place a target is looked for at first, in dot radii."""
+SIZE_STEP = 1.15
+"""Ratio between the radii for which filters are made."""
 STRAIN = 0.25
 """Largest displacement gradient over the structure."""
-SAMPLES = 3000
+SAMPLES = 2000
+GROWN = 60
 CHOICES = 10
 """Smears a target is tried with."""
 
@@ -64,10 +67,15 @@ class Reduced:
     scale: int
 
     def shapes(self, target: Sought) -> tuple[Filter, ...]:
-        """Filters for a target's ellipse, rounded so that equal dots share them."""
-        major, minor = (max(round(4 * v / self.scale) / 4, 1.0) for v in (target.semi_major_px, target.semi_minor_px))
-        angle = round(target.angle_rad / np.radians(10)) * np.radians(10) if major > minor else 0.0
-        return filters(major, minor, float(angle))
+        """Filters for a target's ellipse. Nearly equal dots share them, and all but the flattest pass as round."""
+        radius = np.sqrt(target.semi_major_px * target.semi_minor_px) / self.scale
+        radius = SIZE_STEP ** round(np.log(radius) / np.log(SIZE_STEP))
+        ratio = round(10 * target.semi_minor_px / target.semi_major_px) / 10
+        if ratio > 0.75:
+            return filters(float(radius), float(radius), 0.0)
+        stretch = np.sqrt(max(ratio, 0.1))
+        angle = np.radians(15) * (round(target.angle_rad / np.radians(15)) % 12)
+        return filters(float(radius / stretch), float(radius * stretch), float(angle))
 
 
 def reduced_for(grey: Picture, targets: Sequence[Sought]) -> Reduced:
@@ -218,30 +226,63 @@ def _best_field(
     places: FloatArray, options: FloatArray, weight: FloatArray, tolerance: float, spacing: float
 ) -> FloatArray:
     """(n, 2) displacement of the affine field, out of many random ones, that explains most targets, moved least."""
-    count, choices = weight.shape
-    rng = np.random.default_rng(0)
+    count = len(places)
     usable = np.flatnonzero(weight.max(axis=1) > 0)
     fields = [np.zeros((1, count, 2))]
-    chance = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
     if usable.size:
         # Every target with every choice of its own as a pure translation; then triples as affine fields.
         shifts = (options - places[:, None])[usable].reshape(-1, 2)[weight[usable].ravel() > 0]
         fields.append(np.repeat(shifts[:, None], count, axis=1))
     if usable.size >= 3:
-        triples = np.array([rng.choice(usable, 3, replace=False) for _ in range(SAMPLES)])
-        picks = np.array([[rng.choice(choices, p=chance[i]) for i in triple] for triple in triples])
+        rng = np.random.default_rng(0)
+        triples = usable[np.argsort(rng.random((SAMPLES, usable.size)), axis=1)[:, :3]]
+        draw = np.log(np.maximum(weight[triples], 1e-12)) + rng.gumbel(size=(SAMPLES, 3, weight.shape[1]))
         base = np.concatenate([places[triples], np.ones((SAMPLES, 3, 1))], axis=2)
-        moved = options[triples, picks] - places[triples]
+        moved = options[triples, np.argmax(draw, axis=2)] - places[triples]
         sound = np.abs(np.linalg.det(base)) > spacing**2 / 2
         gradient = np.linalg.solve(base[sound], moved[sound])
         gradient = gradient[np.linalg.norm(gradient[:, :2], axis=(1, 2)) < STRAIN]
         fields.append(np.concatenate([places, np.ones((count, 1))], axis=1) @ gradient)
     candidates = np.concatenate(fields)
-    gap2 = ((options[None] - places[None, :, None] - candidates[:, :, None]) ** 2).sum(axis=3)
-    explained = (weight[None] * np.exp(-0.5 * gap2 / tolerance**2)).max(axis=2).sum(axis=1)
-    effort = np.hypot(candidates[..., 0], candidates[..., 1]).mean(axis=1) / spacing
-    best: FloatArray = candidates[np.argmax(explained - 0.2 * np.minimum(effort, 3.0))]
+    merit = _merit(places, options, weight, candidates, tolerance, spacing)
+    # A translation that explains one storey is where an affine field that explains them all can grow from.
+    grown = [_grow(places, options, weight, candidates[k], tolerance) for k in np.argsort(-merit)[:GROWN]]
+    candidates = np.concatenate([candidates[np.argmax(merit)][None], np.stack(grown)])
+    best: FloatArray = candidates[np.argmax(_merit(places, options, weight, candidates, tolerance, spacing))]
     return best
+
+
+def _merit(
+    places: FloatArray, options: FloatArray, weight: FloatArray, fields: FloatArray, tolerance: float, spacing: float
+) -> FloatArray:
+    """(k,) how much of the targets each of (k, n, 2) displacement fields explains, less a little for its size."""
+    gap2 = ((options[None] - places[None, :, None] - fields[:, :, None]) ** 2).sum(axis=3)
+    explained = (weight[None] * np.exp(-0.5 * gap2 / tolerance**2)).max(axis=2).sum(axis=1)
+    effort = np.hypot(fields[..., 0], fields[..., 1]).mean(axis=1) / spacing
+    merit: FloatArray = explained - 0.2 * np.minimum(effort, 3.0)
+    return merit
+
+
+def _grow(
+    places: FloatArray, options: FloatArray, weight: FloatArray, field: FloatArray, tolerance: float
+) -> FloatArray:
+    """Refit an affine field to the smears it explains, and to those that it then explains."""
+    every = np.arange(len(places))
+    for _ in range(6):
+        gap2 = ((options - places[:, None] - field[:, None]) ** 2).sum(axis=2)
+        pull = weight * np.exp(-0.5 * gap2 / (2 * tolerance) ** 2)
+        choice = np.argmax(pull, axis=1)
+        field = _affine(places, options[every, choice] - places, pull[every, choice])
+    return field
+
+
+def _affine(places: FloatArray, moved: FloatArray, weight: FloatArray) -> FloatArray:
+    """(n, 2) affine displacement field by weighted least squares, held towards a translation where little is known."""
+    middle, size = places.mean(axis=0), places.std() + 1e-9
+    base = np.concatenate([(places - middle) / size, np.ones((len(places), 1))], axis=1)
+    normal = base.T @ (weight[:, None] * base) + np.diag([0.1, 0.1, 1e-9])
+    field: FloatArray = base @ np.linalg.solve(normal, base.T @ (weight[:, None] * moved))
+    return field
 
 
 def _smooth(places: FloatArray, centres: FloatArray, chosen: NDArray[np.intp], before: FloatArray) -> FloatArray:
@@ -249,13 +290,10 @@ def _smooth(places: FloatArray, centres: FloatArray, chosen: NDArray[np.intp], b
     got = np.flatnonzero(chosen >= 0)
     if got.size < 4:
         return before
-    moved = centres[chosen[got]] - places[got]
-    middle, size = places.mean(axis=0), places.std() + 1e-9
-    base = np.concatenate([(places - middle) / size, np.ones((len(places), 1))], axis=1)
-    ridge = np.diag([0.1, 0.1, 0.0])
-    fit = np.linalg.solve(base[got].T @ base[got] + ridge, base[got].T @ moved)
-    affine: FloatArray = base @ fit
+    moved = np.zeros_like(places)
+    moved[got] = centres[chosen[got]] - places[got]
+    affine = _affine(places, moved, (chosen >= 0).astype(float))
     _, index = KDTree(places[got]).query(places, k=min(4, got.size))
-    rest = moved - affine[got]
+    rest = (moved - affine)[got]
     smoothed: FloatArray = affine + np.median(rest[index], axis=1)
     return smoothed
