@@ -1,0 +1,150 @@
+"""Space intersection: one target's motion from its pictures in several cameras, by generalised least squares.
+
+The observations' covariance is that of the pictures plus what the uncertainty of the cameras' orientation makes of
+them, so that cameras whose errors hang together (oriented on the same survey) are weighed as they should be, and the
+result's covariance is complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from labdaemon.errors import DataError
+from labdaemon.geometry.harmonic import project_motion
+from labdaemon.geometry.motion import FloatArray
+from labdaemon.geometry.view import View
+
+SMALLEST_ANGLE_RAD = 0.02
+"""Rays that meet at less than this give no depth."""
+_FLOOR_PX2 = 1e-8  # keeps a covariance of zero invertible
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One solution of an intersection.
+
+    Attributes
+    ----------
+    motion_mm
+        (3, 3): mean, a and b.
+    covariance_mm2
+        (9, 9).
+    square
+        Sum of squared normalised residuals.
+    freedom
+        Its degrees of freedom.
+    worst_px
+        Largest residual.
+    """
+
+    motion_mm: FloatArray
+    covariance_mm2: FloatArray
+    square: float
+    freedom: int
+    worst_px: float
+
+
+def position(views: Sequence[View], mean_px: Sequence[FloatArray]) -> FloatArray:
+    """(3,) point nearest to all rays, mm; a start for the adjustment.
+
+    Raises
+    ------
+    DataError
+        Fewer than two cameras, a pixel that the lens cannot undistort, or rays that are nearly parallel.
+    """
+    if len(views) < 2:
+        raise DataError("seen by one camera only: its depth is unknown")
+    directions = np.concatenate([view.rays(px[None]) for view, px in zip(views, mean_px, strict=True)])
+    if not np.isfinite(directions).all():
+        raise DataError("a target lies where a lens model folds over")
+    centres = np.stack([view.position_mm for view in views])
+    cosines = np.abs(directions @ directions.T)
+    if np.arccos(np.clip(cosines.min(), 0.0, 1.0)) < SMALLEST_ANGLE_RAD:
+        raise DataError("its rays are nearly parallel: move the cameras apart")
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    return np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
+
+
+Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+"""Picture (6,) of one camera, its derivatives by motion (6, 9) and exterior (6, 6) -> what is observed of it."""
+
+
+def adjust_motion(
+    views: Sequence[View],
+    exterior: FloatArray,
+    observed: Sequence[FloatArray],
+    noise: Sequence[FloatArray],
+    model: Model,
+    free: Sequence[int],
+    start: FloatArray,
+) -> Candidate:
+    """Gauss–Newton over a target's motion.
+
+    Parameters
+    ----------
+    views
+        The n cameras.
+    exterior
+        (6 n, 6 n) joint covariance of their exterior parameters.
+    observed, noise
+        For each camera (k,) observations and their (k, k) covariance.
+    model
+        Takes a camera's picture to its observations.
+    free
+        Which of the nine parameters (mean, a, b) are solved for; the others keep their start.
+    start
+        (3, 3).
+
+    Returns
+    -------
+    Candidate
+    """
+    motion, columns = start.copy(), list(free)
+    target = np.concatenate(list(observed))
+    rows = len(observed[0])
+    image_noise = np.zeros((len(target), len(target)))
+    for index, block in enumerate(noise):
+        place = slice(index * rows, (index + 1) * rows)
+        image_noise[place, place] = block + _FLOOR_PX2 * np.eye(rows)
+    for _ in range(12):
+        computed, by_motion, by_exterior = _linearise(views, motion, model)
+        weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)
+        design = by_motion[:, columns]
+        normal = design.T @ weight @ design
+        # An orbit's phase is free without a reference: take the shortest step.
+        step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (design.T @ weight @ (target - computed))
+        if not np.isfinite(step).all():
+            raise DataError("its rays do not meet in front of the cameras")
+        flat = motion.reshape(9).copy()
+        flat[columns] += step
+        motion = flat.reshape(3, 3)
+        if float(step @ normal @ step) < 1e-8:
+            break
+    computed, by_motion, by_exterior = _linearise(views, motion, model)
+    weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)
+    design, miss = by_motion[:, columns], target - computed
+    inverse = np.linalg.pinv(design.T @ weight @ design, rcond=1e-12, hermitian=True)
+    covariance = np.zeros((9, 9))
+    covariance[np.ix_(columns, columns)] = inverse
+    rank = int(np.linalg.matrix_rank(design, tol=1e-6 * float(np.linalg.norm(design, 2))))
+    return Candidate(
+        motion, covariance, float(miss @ weight @ miss), len(target) - rank, float(np.abs(miss).max(initial=0.0))
+    )
+
+
+def _linearise(views: Sequence[View], motion: FloatArray, model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Observations of all cameras one below the other, (m,), (m, 9), and (m, 6 n) with one block a camera."""
+    parts = [model(*project_motion(view.project_with_jacobians, motion)) for view in views]
+    rows = len(parts[0][0])
+    by_exterior = np.zeros((rows * len(parts), 6 * len(parts)))
+    for index, part in enumerate(parts):
+        by_exterior[index * rows : (index + 1) * rows, 6 * index : 6 * index + 6] = part[2]
+    return (
+        cast(FloatArray, np.concatenate([part[0] for part in parts])),
+        cast(FloatArray, np.concatenate([part[1] for part in parts])),
+        by_exterior,
+    )

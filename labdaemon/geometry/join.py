@@ -1,0 +1,296 @@
+"""Several cameras: from each target's pictures to its motion in space, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from labdaemon.errors import DataError
+from labdaemon.flags import Flag
+from labdaemon.geometry.intersect import Candidate
+from labdaemon.geometry.match import orbit_candidates, phased_candidate, straight_candidates
+from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
+from labdaemon.geometry.orbit import largest_sign, principal_axes
+from labdaemon.geometry.view import View
+
+CLEARLY_WORSE = 14.0
+"""Difference of squared residuals that settles a match: the runner-up is a thousand times less likely."""
+DISTINCT = 0.01
+"""Chance below which two candidates count as different; others agree within their stated uncertainty."""
+STRAIGHT = 12.0
+"""Squared ratio of a minor axis to its standard deviation below which a path counts as straight."""
+POOR_FIT = 1e-6
+"""Chance of the residuals below which cameras do not see the same point."""
+POOR_FIT_PX = 0.2
+"""Residuals smaller than this harm nothing, however small the stated uncertainty."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joined:
+    """A target's motion and what else it might be.
+
+    Attributes
+    ----------
+    motion
+        The best solution.
+    alternative
+        The runner-up that could not be excluded; None when the match is settled.
+    settled_by
+        ``residual`` (two cameras), ``third camera``, ``phase``, ``continuity``; empty where not settled.
+    """
+
+    motion: ObjectMotion
+    alternative: ObjectMotion | None = None
+    settled_by: str = ""
+
+
+def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: FloatArray | None = None) -> Joined:
+    """Motion in space of one target seen by several cameras.
+
+    Straight motion is matched by its ends, orbits by their second moments, signed vectors directly. A path counts as
+    straight when its minor axis is consistent with zero in every camera.
+
+    Parameters
+    ----------
+    views, motions
+        One of each a camera, in the same order; cameras without a finite measurement are left out.
+    covariance
+        (6 n, 6 n) joint covariance of the cameras' exterior parameters; without it each view's own is taken, the
+        cameras independent of each other.
+
+    Returns
+    -------
+    Joined
+
+    Raises
+    ------
+    DataError
+        Fewer than two cameras measured it, or their rays do not meet.
+    """
+    seen = [i for i, m in enumerate(motions) if np.isfinite([*m.mean_px, *m.a_px, *m.b_px]).all()]
+    if covariance is None:
+        covariance = np.zeros((6 * len(views), 6 * len(views)))
+        for i, view in enumerate(views):
+            covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = view.covariance
+    rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in seen]) if seen else np.arange(0)
+    exterior = covariance[np.ix_(rows, rows)]
+    views, motions = [views[i] for i in seen], [motions[i] for i in seen]
+    if len(views) < 2:
+        raise DataError("seen by one camera only: its depth is unknown")
+    if all(motion.phased for motion in motions):
+        best = phased_candidate(views, exterior, motions)
+        return Joined(_object_motion(best, None, phased=True), settled_by="phase")
+    motions = [_axes(motion) for motion in motions]
+    if all(is_straight(motion) for motion in motions):
+        candidates = straight_candidates(views, exterior, motions)
+    else:
+        candidates = orbit_candidates(views, exterior, motions)
+    best, others = candidates[0], candidates[1:]
+    # Residuals larger than stated mean noise larger than stated: it may have decided the match.
+    scale = max(1.0, best.square / best.freedom) if best.freedom > 0 else 1.0
+    ratio = float(np.sqrt(others[0].square / max(best.square, 1e-12))) if others else None
+    rival = next(
+        (other for other in others if (other.square - best.square) / scale < CLEARLY_WORSE and _distinct(best, other)),
+        None,
+    )
+    joined = _object_motion(best, ratio, phased=False)
+    if rival is None:
+        return Joined(joined, settled_by="residual" if len(views) == 2 else "third camera")
+    joined = replace(joined, flags=joined.flags | {Flag.AMBIGUOUS})
+    return Joined(joined, _object_motion(rival, ratio, phased=False))
+
+
+def is_straight(motion: ImageMotion) -> bool:
+    """Tell whether a path's minor axis is consistent with zero."""
+    size = float(np.linalg.norm(motion.b_px))
+    if size == 0.0:
+        return True
+    along = motion.b_px / size
+    variance = float(along @ motion.covariance_px2[4:, 4:] @ along)
+    return not size**2 > STRAIGHT * variance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedTargets:
+    """All targets of a capture.
+
+    Attributes
+    ----------
+    motions
+        By target's name; NaN where it could not be joined.
+    settled_by
+        How the match of each joined target was settled, as in `Joined`.
+    refused
+        Reason for each target that could not be joined.
+    """
+
+    motions: dict[str, ObjectMotion]
+    settled_by: dict[str, str]
+    refused: dict[str, str]
+
+
+def join_targets(
+    views: Mapping[str, View],
+    motions: Mapping[str, Mapping[str, ImageMotion]],
+    *,
+    covariance: FloatArray | None = None,
+    members: Mapping[str, str] | None = None,
+) -> JoinedTargets:
+    """Join all targets of a capture, then settle by continuity what the cameras left open.
+
+    Parameters
+    ----------
+    views
+        By camera.
+    motions
+        By target, then by camera.
+    covariance
+        (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `views`.
+    members
+        Structural member of each target, if known; without it all targets may be neighbours.
+
+    Returns
+    -------
+    JoinedTargets
+    """
+    cameras = list(views)
+    joined: dict[str, Joined] = {}
+    refused: dict[str, str] = {}
+    nothing = np.full(3, np.nan)
+    for target, pictures in motions.items():
+        present = [i for i, camera in enumerate(cameras) if camera in pictures]
+        rows = np.array([6 * i + k for i in present for k in range(6)], dtype=int)
+        try:
+            joined[target] = join(
+                [views[cameras[i]] for i in present],
+                [pictures[cameras[i]] for i in present],
+                covariance=None if covariance is None else covariance[np.ix_(rows, rows)],
+            )
+        except DataError as exc:
+            refused[target] = str(exc)
+    joined = settle_by_continuity(joined, members)
+    result = {
+        target: joined[target].motion
+        if target in joined
+        else ObjectMotion(nothing, nothing, nothing, np.full((9, 9), np.nan))
+        for target in motions
+    }
+    return JoinedTargets(result, {name: entry.settled_by for name, entry in joined.items()}, refused)
+
+
+def settle_by_continuity(joined: Mapping[str, Joined], members: Mapping[str, str] | None = None) -> dict[str, Joined]:
+    """Choose between a target's two solutions by its settled neighbours along the same member.
+
+    A mode shape is smooth along a member. The vector expected at an unsettled target is the distance-weighted mean of
+    its nearest settled neighbours' (each turned to point the same way); a solution is taken only when it lies close to
+    that and the other one far from it, and the neighbours agree among themselves. Settled targets help to settle the
+    next, nearest first.
+
+    Parameters
+    ----------
+    joined
+        By target.
+    members
+        Member of each target, if known.
+
+    Returns
+    -------
+    dict
+        The same targets; those settled lose `Flag.AMBIGUOUS` and say so.
+    """
+    result = dict(joined)
+    open_targets = {name for name, entry in joined.items() if entry.alternative is not None}
+    progress = True
+    while progress and open_targets:
+        progress = False
+        for name in sorted(open_targets, key=lambda n: _nearest(n, result, open_targets, members)):
+            choice = _continue(name, result, open_targets, members)
+            if choice is not None:
+                flags = choice.flags - {Flag.AMBIGUOUS}
+                result[name] = Joined(replace(choice, flags=flags), None, "continuity")
+                open_targets.discard(name)
+                progress = True
+                break
+    return result
+
+
+def _neighbours(
+    name: str, joined: Mapping[str, Joined], unsettled: set[str], members: Mapping[str, str] | None
+) -> list[tuple[float, FloatArray]]:
+    """Distance and vector of the settled targets of the same member, nearest first."""
+    here = joined[name].motion.mean_mm
+    found = [
+        (float(np.linalg.norm(entry.motion.mean_mm - here)), entry.motion.a_mm)
+        for other, entry in joined.items()
+        if other not in unsettled and (members is None or members.get(other) == members.get(name))
+    ]
+    return sorted(found, key=lambda pair: pair[0])
+
+
+def _nearest(name: str, joined: Mapping[str, Joined], unsettled: set[str], members: Mapping[str, str] | None) -> float:
+    """Distance to the nearest settled neighbour."""
+    near = _neighbours(name, joined, unsettled, members)
+    return near[0][0] if near else float("inf")
+
+
+def _continue(
+    name: str, joined: Mapping[str, Joined], unsettled: set[str], members: Mapping[str, str] | None
+) -> ObjectMotion | None:
+    """Solution that continues the neighbours' motion, None if they do not tell."""
+    near = _neighbours(name, joined, unsettled, members)[:3]
+    entry = joined[name]
+    if len(near) < 2 or entry.alternative is None:
+        return None
+    reference = near[0][1]
+    vectors = np.stack([vector if vector @ reference >= 0 else -vector for _, vector in near])
+    weights = np.array([1.0 / max(distance, 1e-6) for distance, _ in near])
+    expected = weights @ vectors / weights.sum()
+    spread = float(np.linalg.norm(vectors - expected, axis=1).max())
+
+    def miss(motion: ObjectMotion) -> float:
+        return float(min(np.linalg.norm(motion.a_mm - expected), np.linalg.norm(motion.a_mm + expected)))
+
+    options = sorted([entry.motion, entry.alternative], key=miss)
+    close, far = miss(options[0]), miss(options[1])
+    return options[0] if far > 3.0 * max(close, spread) else None
+
+
+def _axes(motion: ImageMotion) -> ImageMotion:
+    """Picture by its principal axes (cameras with phase joined to ones without lose it)."""
+    if not motion.phased:
+        return motion
+    a, b, covariance = principal_axes(motion.a_px, motion.b_px, motion.covariance_px2)
+    return ImageMotion(motion.mean_px, a, b, covariance)
+
+
+def _distinct(first: Candidate, second: Candidate) -> bool:
+    """Tell whether two candidates differ by more than the uncertainty of the first."""
+    unlike = 0.0
+    for axis in (1, 2):
+        block = first.covariance_mm2[3 * axis : 3 * axis + 3, 3 * axis : 3 * axis + 3]
+        if not np.isfinite(block).all():
+            continue
+        inverse = np.linalg.pinv(block + 1e-12 * np.eye(3), hermitian=True)
+        here, there = first.motion_mm[axis], second.motion_mm[axis]
+        unlike = max(unlike, min(float((here - s * there) @ inverse @ (here - s * there)) for s in (1.0, -1.0)))
+    return unlike > chi2.isf(DISTINCT, 3)
+
+
+def _object_motion(candidate: Candidate, ratio: float | None, *, phased: bool) -> ObjectMotion:
+    """What is reported of a candidate."""
+    motion, covariance = candidate.motion_mm, candidate.covariance_mm2
+    if not phased:
+        signs = np.array([1.0, largest_sign(motion[1]), largest_sign(motion[2])])
+        motion = motion * signs[:, None]
+        nine = np.repeat(signs, 3)
+        covariance = covariance * np.outer(nine, nine)
+    poor = (
+        candidate.freedom > 0
+        and candidate.square > chi2.isf(POOR_FIT, candidate.freedom)
+        and candidate.worst_px > POOR_FIT_PX
+    )
+    flags = frozenset({Flag.POOR_FIT}) if poor else frozenset()
+    return ObjectMotion(motion[0], motion[1], motion[2], covariance, ratio, flags)

@@ -1,0 +1,198 @@
+"""Which solution is meant when cameras see a path without its phase: ends of straight motion, roots of an orbit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, product
+
+import numpy as np
+
+from labdaemon.errors import DataError
+from labdaemon.geometry.intersect import Candidate, adjust_motion, position
+from labdaemon.geometry.motion import FloatArray, ImageMotion
+from labdaemon.geometry.orbit import principal_axes, second_moment, second_moment_covariance, second_moment_jacobian
+from labdaemon.geometry.view import View
+
+_AXIS_FLOOR_PX = 0.01  # no blur tells a minor axis from zero more closely than this
+
+
+def straight_candidates(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> list[Candidate]:
+    """Solutions of a straight motion for the 2^(n−1) ways of matching its ends, the better two, best first.
+
+    A path's end carries no name, so each further camera may have its two the other way round, which is its a with the
+    other sign. All combinations are judged by a linear adjustment of a alone, the best two in full.
+    """
+    start = np.zeros((3, 3))
+    start[0] = position(views, [motion.mean_px for motion in motions])
+    ranked = []
+    for signs in product(*[(1.0,)] + [(1.0, -1.0)] * (len(views) - 1)):
+        vector, square = _linear_vector(views, motions, signs, start[0])
+        ranked.append((square, signs, vector))
+    ranked.sort(key=lambda entry: entry[0])
+    result = []
+    for _, signs, vector in ranked[:2]:
+        flips = [np.array([1.0, 1.0, sign, sign]) for sign in signs]
+        candidate = adjust_motion(
+            views,
+            exterior,
+            [np.concatenate([m.mean_px, m.a_px]) * f for m, f in zip(motions, flips, strict=True)],
+            [m.covariance_px2[:4, :4] * np.outer(f, f) for m, f in zip(motions, flips, strict=True)],
+            lambda picture, by_motion, by_exterior: (picture[:4], by_motion[:4], by_exterior[:4]),
+            range(6),
+            np.stack([start[0], vector, np.zeros(3)]),
+        )
+        candidate.covariance_mm2[6:, 6:] = _minor_covariance(views, motions, candidate.motion_mm[0])
+        result.append(candidate)
+    return sorted(result, key=lambda candidate: candidate.square)
+
+
+def phased_candidate(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> Candidate:
+    """Solution of signed vectors: nothing is left to match."""
+    start = np.zeros((3, 3))
+    start[0] = position(views, [motion.mean_px for motion in motions])
+    return adjust_motion(
+        views,
+        exterior,
+        [np.concatenate([m.mean_px, m.a_px, m.b_px]) for m in motions],
+        [m.covariance_px2 for m in motions],
+        lambda picture, by_motion, by_exterior: (picture, by_motion, by_exterior),
+        range(9),
+        start,
+    )
+
+
+def orbit_candidates(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> list[Candidate]:
+    """Solutions of an orbit from the second moments of its pictures, distinct ones only, best first.
+
+    Each picture's ``M = a aᵀ + b bᵀ`` is the projection of ``A Aᵀ + B Bᵀ``, which has rank 2. Two cameras leave the
+    product of their rays' directions undetermined, and rank 2 picks two roots along it (measurement note, section 4).
+    """
+    mean = position(views, [motion.mean_px for motion in motions])
+    moments = [second_moment(m.a_px, m.b_px) for m in motions]
+    floor = np.diag([0.0, 0.0, _AXIS_FLOOR_PX**2, _AXIS_FLOOR_PX**2])
+    noise = []
+    for motion, moment in zip(motions, moments, strict=True):
+        block = np.zeros((5, 5))
+        block[:2, :2] = motion.covariance_px2[:2, :2]
+        block[2:, 2:] = second_moment_covariance(motion.a_px, motion.b_px, motion.covariance_px2[2:, 2:] + floor)
+        cross = second_moment_jacobian(motion.a_px, motion.b_px) @ motion.covariance_px2[2:, :2]
+        block[2:, :2], block[:2, 2:] = cross, cross.T
+        # Moments of a large orbit are large numbers: a relative floor keeps the matrix invertible.
+        block[2:, 2:] += 1e-12 * float(moment @ moment) * np.eye(3)
+        noise.append(block)
+    observed = [np.concatenate([m.mean_px, moment]) for m, moment in zip(motions, moments, strict=True)]
+    found: list[Candidate] = []
+    for start in _orbit_starts(views, moments, mean):
+        candidate = adjust_motion(views, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]))
+        a, b, covariance = principal_axes(candidate.motion_mm[1], candidate.motion_mm[2], candidate.covariance_mm2)
+        motion_mm = np.stack([candidate.motion_mm[0], a, b])
+        if not any(_same(motion_mm, other.motion_mm) for other in found):
+            found.append(Candidate(motion_mm, covariance, candidate.square, candidate.freedom, candidate.worst_px))
+    if not found:
+        raise DataError("no orbit in space fits what its cameras see")
+    return sorted(found, key=lambda candidate: candidate.square)
+
+
+def _linear_vector(
+    views: Sequence[View], motions: Sequence[ImageMotion], signs: Sequence[float], mean: FloatArray
+) -> tuple[FloatArray, float]:
+    """Vector (3,) that projects to the signed a of all cameras, and its squared normalised residual."""
+    normal, right, total = np.zeros((3, 3), float), np.zeros(3, float), 0.0
+    for view, motion, sign in zip(views, motions, signs, strict=True):
+        jacobian = view.project_with_jacobians(mean[None])[1][0]
+        weight = np.linalg.inv(motion.covariance_px2[2:4, 2:4] + 1e-8 * np.eye(2))
+        normal += jacobian.T @ weight @ jacobian
+        right += sign * jacobian.T @ weight @ motion.a_px
+        total += float(motion.a_px @ weight @ motion.a_px)
+    vector: FloatArray = np.linalg.solve(normal, right)
+    return vector, total - float(right @ vector)
+
+
+def _minor_covariance(views: Sequence[View], motions: Sequence[ImageMotion], mean: FloatArray) -> FloatArray:
+    """(3, 3) covariance of a minor axis that was found to be zero."""
+    normal: FloatArray = np.zeros((3, 3))
+    for view, motion in zip(views, motions, strict=True):
+        block = motion.covariance_px2[4:, 4:]
+        if not np.isfinite(block).all():
+            return np.full((3, 3), np.nan)
+        jacobian = view.project_with_jacobians(mean[None])[1][0]
+        normal += jacobian.T @ np.linalg.inv(block + 1e-8 * np.eye(2)) @ jacobian
+    return np.asarray(np.linalg.inv(normal), dtype=float)
+
+
+def _moment_model(
+    picture: FloatArray, by_motion: FloatArray, by_exterior: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean and second moment of one camera's picture."""
+    a, b = picture[2:4], picture[4:6]
+    change = np.zeros((5, 6))
+    change[:2, :2] = np.eye(2)
+    change[2:, 2:] = second_moment_jacobian(a, b)
+    return np.concatenate([picture[:2], second_moment(a, b)]), change @ by_motion, change @ by_exterior
+
+
+def _orbit_starts(
+    views: Sequence[View], moments: Sequence[FloatArray], mean: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Semi-axes of orbits that fit each pair of cameras exactly in linear terms."""
+    starts = []
+    for first, second in combinations(range(len(views)), 2):
+        pair = [views[first], views[second]]
+        system = np.concatenate([_moment_rows(view.project_with_jacobians(mean[None])[1][0]) for view in pair])
+        right = np.concatenate([moments[first], moments[second]])
+        numbers = np.linalg.lstsq(system, right, rcond=1e-9)[0]
+        rays = [mean - view.position_mm for view in pair]
+        rays = [ray / np.linalg.norm(ray) for ray in rays]
+        base, null = _symmetric(numbers), np.outer(rays[0], rays[1]) + np.outer(rays[1], rays[0])
+        starts += [_rank_two(base + root * null) for root in _roots_of_rank_two(base, null)]
+    return starts
+
+
+def _moment_rows(jacobian: FloatArray) -> FloatArray:
+    """(3, 6) map from (xx, xy, xz, yy, yz, zz) of Q to (xx, xy, yy) of ``J Q Jᵀ``."""
+    rows = []
+    for u, v in ((0, 0), (0, 1), (1, 1)):
+        outer = np.outer(jacobian[u], jacobian[v])
+        outer = outer + outer.T
+        rows.append([outer[i, j] * (0.5 if i == j else 1.0) for i, j in _PLACES])
+    return np.array(rows)
+
+
+_PLACES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def _symmetric(numbers: FloatArray) -> FloatArray:
+    """(3, 3) of (xx, xy, xz, yy, yz, zz)."""
+    result = np.zeros((3, 3))
+    for (i, j), value in zip(_PLACES, numbers, strict=True):
+        result[i, j] = result[j, i] = value
+    return result
+
+
+def _roots_of_rank_two(base: FloatArray, null: FloatArray) -> list[float]:
+    """Values t with ``det(base + t null) = 0``: a quadratic, for `null` has rank 2; its extremum if none is real."""
+    scale = float(np.abs(base).max()) or 1.0
+    samples = np.array([np.linalg.det((base + t * scale * null) / scale) for t in (-1.0, 0.0, 1.0)])
+    quadratic, linear = 0.5 * (samples[0] + samples[2]) - samples[1], 0.5 * (samples[2] - samples[0])
+    if abs(quadratic) < 1e-14:
+        return [0.0] if abs(linear) < 1e-14 else [-samples[1] / linear * scale]
+    inside = linear**2 - 4.0 * quadratic * samples[1]
+    if inside <= 0:
+        return [-linear / (2.0 * quadratic) * scale]
+    return [(-linear + sign * np.sqrt(inside)) / (2.0 * quadratic) * scale for sign in (1.0, -1.0)]
+
+
+def _rank_two(moment: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two vectors whose outer products sum to the nearest moment of rank 2."""
+    values, vectors = np.linalg.eigh(moment)
+    major, minor = np.sqrt(np.maximum(values[[2, 1]], 1e-12))
+    return major * vectors[:, 2], minor * vectors[:, 1]
+
+
+def _same(first: FloatArray, second: FloatArray) -> bool:
+    """Tell whether two motions are one, up to the signs of their axes."""
+    size = float(np.linalg.norm(first[1])) or 1.0
+    return all(
+        min(float(np.linalg.norm(first[i] - second[i])), float(np.linalg.norm(first[i] + second[i]))) < 1e-3 * size
+        for i in (1, 2)
+    )

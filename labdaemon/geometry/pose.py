@@ -1,0 +1,84 @@
+"""Rough camera positions to start an adjustment from: every solution of many small sets of points."""
+
+from __future__ import annotations
+
+from itertools import combinations, islice
+
+import cv2
+import numpy as np
+
+from labdaemon.geometry.lens import Lens
+from labdaemon.geometry.motion import FloatArray
+from labdaemon.geometry.view import View, rotation_from_vector
+
+MOST_TRIPLES = 120
+
+
+def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> list[View]:
+    """Views that three of the points fit exactly, and ones that fit all of them roughly.
+
+    Parameters
+    ----------
+    lens
+        Interior orientation.
+    image_px, object_mm
+        (n, 2) and (n, 3), n >= 4.
+
+    Returns
+    -------
+    list of View
+        Those with all points in front of the camera; empty if there is none.
+    """
+    slopes = lens.undistort(image_px)
+    seen = np.flatnonzero(np.isfinite(slopes).all(axis=1))
+    if len(seen) < 4:
+        return []
+    slopes, points = slopes[seen], object_mm[seen]
+    origin = points.mean(axis=0)  # numbers of a site grid are large
+    local = points - origin
+    poses: list[tuple[FloatArray, FloatArray]] = []
+    for triple in _triples(len(seen)):
+        index = list(triple)
+        if _area(slopes[index]) < 1e-9:
+            continue
+        count, rotations, translations = cv2.solveP3P(
+            local[index].reshape(3, 1, 3), slopes[index].reshape(3, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_P3P
+        )
+        poses += [(_floats(rotations[i]), _floats(translations[i])) for i in range(count)]
+    for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_EPNP):
+        found, rotation, translation = cv2.solvePnP(
+            local.reshape(-1, 1, 3), slopes.reshape(-1, 1, 2), np.eye(3), None, flags=method
+        )
+        if found:
+            poses.append((_floats(rotation), _floats(translation)))
+    views = []
+    for vector, translation in poses:
+        if not (np.isfinite(vector).all() and np.isfinite(translation).all()):
+            continue
+        turned = rotation_from_vector(vector)
+        view = View(lens, turned, origin - turned.T @ translation)
+        if np.median(view.in_camera(points)[:, 2]) > 0:
+            views.append(view)
+    return views
+
+
+def _triples(count: int) -> list[tuple[int, ...]]:
+    """Some triples of n points: all of a few, an even sample of many."""
+    total = count * (count - 1) * (count - 2) // 6
+    if total <= MOST_TRIPLES:
+        return list(combinations(range(count), 3))
+    if total <= 200_000:
+        return list(islice(combinations(range(count), 3), 0, None, total // MOST_TRIPLES))
+    generator = np.random.default_rng(count)
+    return [tuple(int(i) for i in generator.choice(count, 3, replace=False)) for _ in range(MOST_TRIPLES)]
+
+
+def _area(slopes: FloatArray) -> float:
+    """Twice the area of a triangle of slopes."""
+    first, second = slopes[1] - slopes[0], slopes[2] - slopes[0]
+    return float(abs(first[0] * second[1] - first[1] * second[0]))
+
+
+def _floats(column: object) -> FloatArray:
+    """Flatten what OpenCV returns."""
+    return np.asarray(column, dtype=float).ravel()
