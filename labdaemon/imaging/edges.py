@@ -83,8 +83,8 @@ def fit_side(patch: Patch, start_px: FloatArray, end_px: FloatArray, *, band_px:
     Notes
     -----
     Each colour channel has its own ink and paper level, the paper a linear gradient along the side; the edge is a
-    Gaussian-blurred step whose place is a parabola in u (a lens bends straight sides). Gauss–Newton on the pixels as they
-    are, so nothing is interpolated.
+    Gaussian-blurred step whose place is a parabola in u (a lens bends straight sides). Gauss–Newton on the pixels as
+    they are, so nothing is interpolated.
     """
     chord = end_px - start_px
     length = float(np.hypot(*chord))

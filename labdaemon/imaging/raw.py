@@ -11,8 +11,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from labdaemon.errors import DataError
-from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.filetags import TIFF_MAGICS, FileTags, read_tags
+from labdaemon.imaging.frame import RawFrame, mean_frame
 
 __all__ = ["RawFrame", "mean_frame", "read_frame"]
 
