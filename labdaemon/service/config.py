@@ -97,7 +97,7 @@ def load_rig(path: Path | str, *, check_drivers: bool = True) -> RigConfig:
     path
         The TOML file.
     check_drivers
-        Also look up every driver, and refuse keys that it does not know.
+        Also look up every driver, refuse keys that it does not know, and let it check its values (this opens nothing).
 
     Raises
     ------
@@ -117,8 +117,9 @@ def load_rig(path: Path | str, *, check_drivers: bool = True) -> RigConfig:
     if rig.shaker and rig.shaker.calibration is not None and not rig.path(rig.shaker.calibration).is_file():
         raise ConfigError(f"{rig.path(rig.shaker.calibration)} is not there", source=source, key="shaker.calibration")
     if check_drivers:
-        for key, kind, section in _driver_sections(rig):
-            _check_driver(source, key, kind, section)
+        for key, kind, name, section in _driver_sections(rig):
+            settings = rig.shaker_settings() if kind == "shaker" else section.settings
+            _check_driver(source, key, kind, name, section, settings)
     return rig
 
 
@@ -168,19 +169,22 @@ def find_driver(kind: str, driver: str) -> EntryPoint:
     raise ConfigError(f"no {kind} driver {driver!r}; {hint}")
 
 
-def _driver_sections(rig: RigConfig) -> list[tuple[str, str, DriverSection]]:
-    """Key, kind and section of everything that names a driver."""
-    sections: list[tuple[str, str, DriverSection]] = [("trigger", "trigger", rig.trigger)]
+def _driver_sections(rig: RigConfig) -> list[tuple[str, str, str, DriverSection]]:
+    """Key, kind, device's name and section of everything that names a driver."""
+    sections: list[tuple[str, str, str, DriverSection]] = [("trigger", "trigger", "trigger", rig.trigger)]
     if rig.shaker is not None:
-        sections.append(("shaker", "shaker", rig.shaker))
-    sections += [(f"gauge[{place}]", "gauge", gauge) for place, gauge in enumerate(rig.gauges)]
-    sections += [(f"cameras.{name}", "camera", camera) for name, camera in rig.cameras.items()]
+        sections.append(("shaker", "shaker", "shaker", rig.shaker))
+    sections += [(f"gauge[{place}]", "gauge", gauge.name, gauge) for place, gauge in enumerate(rig.gauges)]
+    sections += [(f"cameras.{name}", "camera", name, camera) for name, camera in rig.cameras.items()]
     return sections
 
 
-def _check_driver(source: Path, key: str, kind: str, section: DriverSection) -> None:
-    """Refuse a driver that is not installed, and keys that neither we nor it know."""
+def _check_driver(
+    source: Path, key: str, kind: str, name: str, section: DriverSection, settings: dict[str, Any]
+) -> None:
+    """Refuse a driver that is not installed, keys that neither we nor it know, and values that it refuses."""
     known = list(type(section).model_fields)
+    driver: Any = None
     if section.driver not in BUILT_IN.get(kind, set()):
         try:
             entry = find_driver(kind, section.driver)
@@ -195,6 +199,13 @@ def _check_driver(source: Path, key: str, kind: str, section: DriverSection) -> 
         near = nearest(written, known)
         hint = f"did you mean {near}?" if near else f"known keys are {', '.join(sorted(known))}"
         raise ConfigError(f"unknown key; {hint}", source=source, key=f"{key}.{written}")
+    if driver is not None:
+        try:
+            driver(name, settings)
+        except ConfigError as exc:
+            inner = (exc.key or "").removeprefix(name).strip(".")
+            message = str(exc).removeprefix(f"{exc.key}: ")
+            raise ConfigError(message, source=source, key=f"{key}.{inner}" if inner else key) from None
 
 
 def _check_names(rig: RigConfig) -> None:
