@@ -1,0 +1,85 @@
+"""`labdaemon plan`: what a campaign would do, checked against the rig, before anything moves."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from labdaemon.campaign.campaign_file import load_campaign
+from labdaemon.campaign.limits import ShakerLimits, largest_amplitude_mm, peak_acceleration_mm_s2, peak_velocity_mm_s
+from labdaemon.campaign.plan import make_plan
+from labdaemon.campaign.steps import Plan, Step
+from labdaemon.cli.progress import duration
+from labdaemon.service.config import load_rig, plan_rig
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--config",
+    type=click.Path(dir_okay=False, path_type=Path),
+    required=True,
+    help="The rig file; its cameras' usual exposure steps are assumed where it does not list them.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON.")
+def plan(campaign: Path, config: Path, as_json: bool) -> None:
+    """Every step of a campaign with its exposures, time and disk, each checked against the rig's limits."""
+    rig = load_rig(config)
+    room = _free_bytes(rig.data)
+    made = make_plan(load_campaign(campaign), plan_rig(rig, free_bytes=room))
+    if as_json:
+        click.echo(json.dumps(_document(made)))
+        return
+    for line in table(made, rig.limits):
+        click.echo(line)
+    click.echo(
+        f"{len(made.steps)} steps, {sum(len(step.shots) for step in made.steps)} captures, about "
+        f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
+    )
+
+
+def table(made: Plan, limits: ShakerLimits | None) -> list[str]:
+    """The steps as lines of text; the last column is the share of the tightest of the table's limits."""
+    head = (
+        f"{'step':<26}{'f Hz':>8}{'A mm':>8}{'v mm/s':>8}{'a mm/s²':>9}{'shots':>6}{'exposure s':>12}{'cycles':>8}"
+        f"{'time':>9}{'limit':>7}"
+    )
+    return [head, *(_line(step, limits) for step in made.steps)]
+
+
+def _line(step: Step, limits: ShakerLimits | None) -> str:
+    frequency, amplitude = step.frequency_hz, step.amplitude_mm
+    motion = ["", "", "", ""]
+    share = ""
+    if frequency is not None:
+        motion[0] = f"{frequency:.3f}"
+    if frequency is not None and amplitude is not None:
+        velocity, acceleration = peak_velocity_mm_s(frequency, amplitude), peak_acceleration_mm_s2(frequency, amplitude)
+        motion[1:] = [f"{amplitude:.3g}", f"{velocity:.4g}", f"{acceleration:.4g}"]
+        if limits is not None:
+            share = f"{amplitude / largest_amplitude_mm(limits, frequency):.0%}"
+    shot = step.shots[0] if step.shots else None
+    exposure = f"{shot.exposure_s:.4g}" if shot else ""
+    cycles = f"{shot.cycles:.2f}" if shot and shot.cycles is not None else ""
+    return (
+        f"{step.label:<26}{motion[0]:>8}{motion[1]:>8}{motion[2]:>8}{motion[3]:>9}{len(step.shots) or '':>6}"
+        f"{exposure:>12}{cycles:>8}{duration(step.predicted_s):>9}{share:>7}"
+    ).rstrip()
+
+
+def _document(made: Plan) -> dict[str, Any]:
+    steps = [asdict(step) for step in made.steps]
+    totals = {"predicted_s": made.predicted_s, "predicted_bytes": made.predicted_bytes}
+    return {"name": made.name, "digest": made.digest, **totals, "steps": steps}
+
+
+def _free_bytes(folder: Path) -> int:
+    """Room on the disk that the daemon would write to."""
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free

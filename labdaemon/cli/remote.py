@@ -1,0 +1,139 @@
+"""Subcommands that talk to a running daemon. Each prints one line for people, or its JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+from uuid import uuid4
+
+import click
+
+from labdaemon.errors import UsageError
+from labdaemon.stream.client import COMMANDS, Client, JournalChanged
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+STOP_TIMEOUT_S = 15.0
+CAPTURE_TIMEOUT_S = 120.0
+SUBMIT_TIMEOUT_S = 60.0
+ENDED = {"campaign.completed": 0, "campaign.aborted": 1, "campaign.failed": 1}
+"""How a campaign ends, and the exit status of who watched it."""
+
+
+def address_options(command: Command) -> Command:
+    """`--address` and `--json`, which all of these take."""
+    command = click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")(command)
+    return click.option(
+        "--address",
+        default=COMMANDS,
+        envvar="LABDAEMON_ADDRESS",
+        show_default=True,
+        metavar="TCP",
+        help="The daemon's commands address.",
+    )(command)
+
+
+def ask(address: str, method: str, *, timeout_s: float = 10.0, **params: Any) -> Any:
+    """One command to the daemon at `address`."""
+    if not address.startswith("tcp://"):
+        raise UsageError(f"--address {address}: write tcp://127.0.0.1:PORT")
+    with Client(address, timeout_s=timeout_s) as client:
+        return client.call(method, **params)
+
+
+def say(result: Any, as_json: bool, sentence: str) -> None:
+    """Print an answer the way it was asked for."""
+    click.echo(json.dumps(result) if as_json else sentence)
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--request-id", help="Submit at most once under this name, however often it is sent.")
+@address_options
+def submit(campaign: Path, request_id: str | None, address: str, as_json: bool) -> None:
+    """Give a campaign file to the daemon; it is checked against the rig first."""
+    from labdaemon.campaign.campaign_file import load_campaign
+
+    text = load_campaign(campaign).toml
+    result = ask(
+        address, "campaign.submit", timeout_s=SUBMIT_TIMEOUT_S, toml=text, request_id=request_id or uuid4().hex
+    )
+    say(result, as_json, f"campaign {result['campaign']} submitted")
+
+
+@click.command()
+@address_options
+def status(address: str, as_json: bool) -> None:
+    """What the daemon is doing."""
+    from labdaemon.cli.progress import status_lines
+
+    result = ask(address, "status")
+    say(result, as_json, "\n".join(status_lines(result)))
+
+
+def _campaign_command(name: str, done: str, text: str) -> click.Command:
+    """`pause`, `resume` and `abort` differ in a word."""
+
+    @click.command(name=name, help=text)
+    @click.argument("campaign", required=False)
+    @address_options
+    def command(campaign: str | None, address: str, as_json: bool) -> None:
+        params = {} if campaign is None else {"campaign": campaign}
+        result = ask(address, f"campaign.{name}", timeout_s=STOP_TIMEOUT_S, **params)
+        chosen = (result or {}).get("campaign") if isinstance(result, dict) else None
+        say(result, as_json, f"campaign {chosen or campaign or ''}".rstrip() + f" {done}")
+
+    return command
+
+
+pause = _campaign_command("pause", "paused", "Hold the campaign; the table comes to rest.")
+resume = _campaign_command("resume", "resumed", "Go on with a campaign that was paused.")
+abort = _campaign_command("abort", "aborted", "End the campaign; the table comes to rest.")
+
+
+@click.command()
+@click.option("--label", default="manual", show_default=True, help="Part of the capture's name.")
+@click.option("--request-id", help="Fire at most once under this name, however often it is sent.")
+@address_options
+def capture(label: str, request_id: str | None, address: str, as_json: bool) -> None:
+    """Fire all shutters once, now."""
+    result = ask(address, "capture", timeout_s=CAPTURE_TIMEOUT_S, label=label, request_id=request_id or uuid4().hex)
+    say(result, as_json, f"capture {result['capture']} opened at {result['opened_at']}")
+
+
+@click.command()
+@address_options
+def stop(address: str, as_json: bool) -> None:
+    """Bring the shaker to rest now, whatever is going on."""
+    result = ask(address, "stop", timeout_s=STOP_TIMEOUT_S)
+    say(result, as_json, "the shaker is at rest")
+
+
+@click.command()
+@click.option("--events", "events_address", metavar="TCP", help="The events address; by default the daemon is asked.")
+@click.option("--after", type=click.IntRange(min=0), help="Begin after this event of the journal.")
+@click.option("--until-end", is_flag=True, help="Leave when the campaign ends; exit 0 only if it completed.")
+@address_options
+def watch(events_address: str | None, after: int | None, until_end: bool, address: str, as_json: bool) -> None:
+    """Follow the daemon's events: step, capture, time left, largest amplitude, faults."""
+    from labdaemon.cli.progress import Progress
+
+    if events_address is None:
+        events_address = ask(address, "rig")["service"]["events"]
+    with Client(address, events_address) as client, Progress(plain=as_json) as progress:
+        stream = client.events(after=after)
+        while True:
+            try:
+                event = next(stream)
+            except JournalChanged as exc:
+                click.echo(f"labdaemon: {exc}", err=True)
+                stream = client.events(after=0)
+                continue
+            if as_json:
+                click.echo(json.dumps(event))
+            else:
+                progress.show(event)
+            if until_end and event["kind"] in ENDED:
+                sys.exit(ENDED[event["kind"]])
