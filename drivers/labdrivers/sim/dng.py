@@ -87,8 +87,9 @@ def write_dng(
     )
     if grey:
         # A sensor without a mosaic is "linear raw" with one sample, which tifffile will not write in one go.
+        memory.seek(0)
         with tifffile.TiffFile(memory, mode="r+") as written:
-            written.pages[0].tags[262].overwrite(_LINEAR_RAW)
+            written.pages.first.tags[262].overwrite(_LINEAR_RAW)
     if isinstance(file, (str, Path)):
         Path(file).write_bytes(memory.getvalue())
     else:

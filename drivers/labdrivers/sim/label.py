@@ -18,7 +18,7 @@ from labdrivers.sim.window import Window, dwell_map, transform
 Plane = Callable[[FloatArray], FloatArray]
 """Points (n, 2) of a card's own plane, mm -> object points (n, 3)."""
 
-SHAPE_STEP_PX = 0.02
+SHAPE_STEP_PX = 0.04
 """A shape is drawn anew when its outline has changed by this much on the way (depth, perspective, distortion)."""
 
 MAX_SHAPES = 32
@@ -213,11 +213,26 @@ def draw_target(
 
 
 def disc_coverage(u: FloatArray, v: FloatArray, radius_mm: float) -> FloatArray:
-    """Fraction of each fine cell inside a circle of the card's plane."""
+    """Fraction of each fine cell inside a circle of the card's plane.
+
+    Within a cell the rim is taken as straight, and the part of the square on its inner side is exact: the distance
+    from the rim over the cell is the sum of two uniform variables, one along each side.
+    """
     radius = np.hypot(u, v)
-    # gradient of the radius across cells: how many millimetres one cell spans towards the rim
-    gy, gx = np.gradient(radius)
-    return coverage(radius - radius_mm, np.maximum(np.hypot(gx, gy), 1e-12))
+    along_y, along_x = np.gradient(radius)
+    inside = np.asarray(radius < radius_mm, float)
+    rim = np.flatnonzero(np.abs(radius - radius_mm).ravel() < 2.0 * np.hypot(along_x, along_y).ravel())
+    depth = radius_mm - radius.ravel()[rim]
+    sides = np.abs(np.stack([along_x.ravel()[rim], along_y.ravel()[rim]]))
+    # a side along the rim contributes nothing; keep the quotient finite
+    long_side = sides.max(axis=0)
+    short_side = np.maximum(sides.min(axis=0), 1e-4 * long_side)
+    half_sum, half_difference = 0.5 * (long_side + short_side), 0.5 * (long_side - short_side)
+    part = np.zeros_like(depth)
+    for sign, corner in ((1, -half_sum), (-1, -half_difference), (-1, half_difference), (1, half_sum)):
+        part += sign * np.clip(depth - corner, 0.0, None) ** 2
+    inside.ravel()[rim] = part / (2.0 * long_side * short_side)
+    return inside
 
 
 def _cell(u: FloatArray, v: FloatArray) -> tuple[float, float]:
