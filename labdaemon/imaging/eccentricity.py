@@ -36,8 +36,8 @@ def centre_shift(centre_mm: FloatArray, normal: FloatArray, radius_mm: float | F
     """What to add to a fitted ellipse's centre to get the image of the circle's own centre, normalised coordinates.
 
     Multiply by the focal length for pixels. An 8 mm dot seen at 45° from 1 m with 3938 px of focal length shifts by
-    0.03 px, a 36 mm one by 0.64 px. Parameters as `ellipse_centre`; a lens's distortion varies so little over a dot that
-    the shift may be added to undistorted coordinates.
+    0.03 px, a 36 mm one by 0.64 px. Parameters as `ellipse_centre`; a lens's distortion varies so little over a dot
+    that the shift may be added to undistorted coordinates.
     """
     c = np.asarray(centre_mm, dtype=np.float64)
     return np.asarray(c[..., :2] / c[..., 2:] - ellipse_centre(c, normal, radius_mm))

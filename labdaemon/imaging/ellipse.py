@@ -43,7 +43,7 @@ class Ellipse:
             [[self.semi_major_px * c, -self.semi_minor_px * s], [self.semi_major_px * s, self.semi_minor_px * c]]
         )
 
-    def points(self, angles_rad: FloatArray, scale: float | FloatArray = 1.0) -> FloatArray:
+    def points(self, angles_rad: NDArray[np.floating], scale: float | FloatArray = 1.0) -> FloatArray:
         """(…, 2) points at eccentric angles, on the ellipse enlarged `scale` times about its centre."""
         unit = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1) * np.asarray(scale)[..., None]
         return np.asarray(unit @ self.frame.T + np.array([self.x_px, self.y_px]))

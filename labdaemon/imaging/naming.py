@@ -34,9 +34,9 @@ def match_names(
 
     Notes
     -----
-    Pairs are chosen for the smallest sum of distances (Hungarian method), distances capped at twice `within_px`, so that
-    one missing target does not move its neighbours' names. Approximate places are often all off alike: the median shift
-    of the pairs is taken off and the choice made again.
+    Pairs are chosen for the smallest sum of distances (Hungarian method), distances capped at twice `within_px`, so
+    that one missing target does not move its neighbours' names. Approximate places are often all off alike: the median
+    shift of the pairs is taken off and the choice made again.
     """
     projected, found = np.reshape(projected_px, (-1, 2)), np.reshape(found_px, (-1, 2))
     result = [""] * len(found)
@@ -44,11 +44,12 @@ def match_names(
         return result
     if within_px is None:
         within_px = 0.5 * _smallest_distance(projected)
-    shift, pairs = np.zeros(2), []
+    shift = np.zeros(2)
+    pairs: list[tuple[int, int]] = []
     for _ in range(5):
         distance = np.hypot(*(found[:, None, :] - (projected + shift)[None, :, :]).transpose(2, 0, 1))
         rows, columns = linear_sum_assignment(np.minimum(distance, 2.0 * within_px))
-        pairs = [(r, c) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= within_px]
+        pairs = [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= within_px]
         if not pairs:
             return result
         moved = np.median([found[r] - projected[c] for r, c in pairs], axis=0)

@@ -1,8 +1,8 @@
 """Ring codes, the conventional circular coded targets: a dot, and around it a ring whose segments spell a number.
 
-The dot has radius r; the ring reaches from 2r to 3r and is cut into 12 or 14 equal segments. Dark segments are ones, read
-clockwise as one looks at the target, the most significant first, from wherever the number becomes smallest (Schneider
-1991; patent DE 197 33 466 A1, expired).
+The dot has radius r; the ring reaches from 2r to 3r and is cut into 12 or 14 equal segments. Dark segments are ones,
+read clockwise as one looks at the target, the most significant first, from wherever the number becomes smallest
+(Schneider 1991; patent DE 197 33 466 A1, expired).
 """
 
 from __future__ import annotations
@@ -42,17 +42,19 @@ class Ring:
         The number its segments spell, in its smallest rotation.
     dot
         The dot in its middle, which is what is measured.
+    reach
+        How far the whole target reaches, in radii of the dot.
     """
 
     name: str
     code: int
     dot: Dot
+    reach: float = 3.2
 
     @property
     def outline_px(self) -> FloatArray:
         """(48, 2) polygon around the whole target: to be excluded where plain dots are looked for."""
-        angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-        return _shape(self.dot).points(angles, 3.2)
+        return _shape(self.dot).points(np.arange(48) * (2.0 * np.pi / 48), self.reach)
 
 
 def smallest_rotation(code: int, bits: int) -> int:
@@ -86,7 +88,12 @@ def code_book(bits: int) -> tuple[int, ...]:
 
 
 def find_rings(
-    frame: RawFrame | Grey, *, bits: int = 12, dots: Sequence[Dot] | None = None, unlisted: bool = False
+    frame: RawFrame | Grey,
+    *,
+    bits: int = 12,
+    dots: Sequence[Dot] | None = None,
+    unlisted: bool = False,
+    ring: tuple[float, float] = (2.0, 3.0),
 ) -> list[Ring]:
     """Find and read ring-coded targets in a sharp frame.
 
@@ -95,11 +102,13 @@ def find_rings(
     frame
         The frame, or its `grey()`.
     bits
-        12 or 14 segments.
+        Number of segments: 12 or 14, with `unlisted` any divisor of 840.
     dots
         Dots already found in it, the rings' own among them; found anew if None.
     unlisted
-        Also return rings whose code is not in the book (other makers' sheets), named by the code in brackets.
+        Return rings whatever their code (other makers' sheets), those not in a book named by the code in brackets.
+    ring
+        Inner and outer radius of the ring in radii of the dot.
 
     Returns
     -------
@@ -108,17 +117,19 @@ def find_rings(
     Raises
     ------
     UsageError
-        `bits` is neither 12 nor 14.
+        There is no book for `bits` segments, or they do not divide the circle's samples.
     """
-    book = {code: place + 1 for place, code in enumerate(code_book(bits))}
+    if unlisted and (bits < 4 or _SAMPLES % bits):
+        raise UsageError(f"a ring of {bits} segments cannot be read; take a divisor of {_SAMPLES} from 4 on")
+    book = {} if unlisted and bits not in BITS else {code: place + 1 for place, code in enumerate(code_book(bits))}
     grey = frame.grey() if isinstance(frame, RawFrame) else np.ascontiguousarray(frame, dtype=np.float32)
     found: list[tuple[int, Ring]] = []
     for dot in find_dots(grey) if dots is None else dots:
-        code = _read(grey, dot, bits)
+        code = _read(grey, dot, bits, ring)
         if code is None or not (code in book or unlisted):
             continue
         place = book.get(code, 0)
-        found.append((place, Ring(str(place) if place else f"[{code}]", code, dot)))
+        found.append((place, Ring(str(place) if place else f"[{code}]", code, dot, ring[1] + 0.2)))
     return [ring for _, ring in sorted(found, key=lambda pair: (pair[0], pair[1].code))]
 
 
@@ -126,14 +137,15 @@ def _shape(dot: Dot) -> Ellipse:
     return Ellipse(dot.x_px, dot.y_px, dot.semi_major_px, dot.semi_minor_px, dot.angle_rad)
 
 
-def _read(grey: Grey, dot: Dot, bits: int) -> int | None:
+def _read(grey: Grey, dot: Dot, bits: int, ring: tuple[float, float]) -> int | None:
     """The number around a dot in its smallest rotation, None where there is no cleanly cut ring."""
     angles = np.arange(_SAMPLES) * (2.0 * np.pi / _SAMPLES)
     # Inside the dot, in the gap, and three circles of the ring, clear of its edges.
-    scales = np.array([0.0, 0.4, 1.5, 2.3, 2.5, 2.7])
-    points = _shape(dot).points(angles[:, None], np.broadcast_to(scales, (_SAMPLES, scales.size)))
-    height, width = grey.shape
-    if points.min() < 0.0 or points[..., 0].max() > width - 1 or points[..., 1].max() > height - 1:
+    inner, width = ring[0], ring[1] - ring[0]
+    scales = np.array([0.0, 0.4, 0.5 * (1.0 + inner), *(inner + part * width for part in (0.3, 0.5, 0.7))])
+    points = _shape(dot).points(angles[:, None], np.tile(scales, (_SAMPLES, 1)))
+    height, across = grey.shape
+    if points.min() < 0.0 or points[..., 0].max() > across - 1 or points[..., 1].max() > height - 1:
         return None
     at = points.astype(np.float32)
     values = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float64)
@@ -165,4 +177,4 @@ def _decode(around: FloatArray, bits: int) -> int | None:
     code = 0
     for bit in level > 0.5:
         code = 2 * code + int(bit)
-    return smallest_rotation(code, bits)
+    return smallest_rotation(code, bits) if 0 < code < (1 << bits) - 1 else None
