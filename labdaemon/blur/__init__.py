@@ -1,6 +1,9 @@
 """From a sharp and a blurred patch of a target to its motion in pixels, with covariance, at the photon limit."""
 
 from labdaemon.blur.fit_sharp import fit_sharp
+from labdaemon.blur.frame import displacement, measure_frame
+from labdaemon.blur.group import measure_group
+from labdaemon.blur.law import DisplacementLaw
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, StillMeasurement, Window
 from labdaemon.blur.noise import estimate_noise
@@ -10,6 +13,7 @@ from labdaemon.blur.still import frame_blur, measure_still
 from labdaemon.blur.texture import sharp_texture
 
 __all__ = [
+    "DisplacementLaw",
     "Dot",
     "ExtraBlur",
     "Measurement",
@@ -19,10 +23,13 @@ __all__ = [
     "Start",
     "StillMeasurement",
     "Window",
+    "displacement",
     "estimate_noise",
     "fit_sharp",
     "frame_blur",
     "measure",
+    "measure_frame",
+    "measure_group",
     "measure_still",
     "sharp_texture",
 ]

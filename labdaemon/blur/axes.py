@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from labdaemon.blur.pixels import FloatArray
@@ -41,3 +43,40 @@ def principal(moment: FloatArray, covariance: FloatArray) -> tuple[FloatArray, F
     turn = np.array([major[0] * normal[0], major[0] * normal[1] + major[1] * normal[0], major[1] * normal[1]]) / gap
     jacobian = np.stack((along, across, turn))
     return values[::-1].copy(), major, minor, jacobian @ covariance @ jacobian.T
+
+
+def _through(
+    function: Callable[[FloatArray], FloatArray], at: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A function's value and the covariance that it inherits, by central differences."""
+    value = function(at)
+    jacobian = np.empty((len(value), len(at)))
+    for column in range(len(at)):
+        step = np.zeros(len(at))
+        step[column] = 1e-5 * max(1.0, abs(at[column]))
+        jacobian[:, column] = (function(at + step) - function(at - step)) / (2 * step[column])
+    return value, jacobian @ covariance @ jacobian.T
+
+
+def _axes(moment: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(moment)
+    values = np.sqrt(np.maximum(values, 1e-12))
+    return np.concatenate((positive(vectors[:, 1]) * values[1], positive(vectors[:, 0]) * values[0]))
+
+
+def moment_axes(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(x, y, ax, ay, bx, by) and its covariance from (x, y, m0, m1, m2) and theirs."""
+    return _through(lambda p: np.concatenate((p[:2], _axes(moment_matrix(p[2:])))), at, covariance)
+
+
+def phased_axes(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Centre, major axis, minor axis and covariance from (x, y, ax, ay, bx, by) with phase.
+
+    The minor axis of a straight motion has no derivative; its deviation is taken from the vectors themselves.
+    """
+
+    def axes(p: FloatArray) -> FloatArray:
+        return np.concatenate((p[:2], _axes(np.outer(p[2:4], p[2:4]) + np.outer(p[4:], p[4:]))))
+
+    value, cov = _through(axes, at, covariance)
+    return value[:2], value[2:4], value[4:], cov

@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from labdaemon.blur import shapes
-from labdaemon.blur.axes import moment_matrix, positive, principal
+from labdaemon.blur.axes import moment_axes, moment_matrix, phased_axes, positive, principal
+from labdaemon.blur.law import DisplacementLaw, nodes_transfer
 from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window
-from labdaemon.blur.pixels import FloatArray, Patch
+from labdaemon.blur.pixels import ComplexArray, FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Solution, render_light, solve, solve_light
 from labdaemon.blur.weights import nuisance_prior, pixel_weights, variance_scale
+from labdaemon.blur.windowed import solve_windowed, timing_covariance
 from labdaemon.flags import Flag
 
 DEFAULT_BLUR = ExtraBlur(0.0, 0.15)
 REST_SIGMAS = 3.0
+WHOLE = 0.005  # cycles from whole below which the window's phase does not show
 POOR_CHI2 = 1.35
 
 
@@ -27,6 +30,7 @@ def measure(
     extra_blur: ExtraBlur | None = None,
     start: Start | None = None,
     orbit: bool = True,
+    law: DisplacementLaw | None = None,
     camera_shift_px: FloatArray | None = None,
 ) -> Measurement:
     """Measure a target's motion.
@@ -45,6 +49,8 @@ def measure(
         Where the target is expected; None takes its place in the sharp frame.
     orbit
         False forces straight motion.
+    law
+        A declared course of the displacement instead of a sinusoid: a is then the vector that multiplies it, b is none.
     camera_shift_px
         (2,) shift of the frame against the sharp one, added to the start when that comes from the sharp frame.
 
@@ -62,6 +68,10 @@ def measure(
     if setting is None:
         return nothing(sharp, _why_nothing(patch))
     blur = extra_blur if extra_blur is not None else DEFAULT_BLUR
+    if law is not None:
+        return _declared(sharp, setting, blur, law)
+    if window is not None and window.phase_rad is not None and abs(window.cycles - round(window.cycles)) > WHOLE:
+        return _known_window(sharp, setting, blur, window, orbit=orbit)
     return _whole_cycles(sharp, setting, blur, orbit=orbit, window=window)
 
 
@@ -120,14 +130,9 @@ def _whole_cycles(
         )
         scale = variance_scale(sharp, best)
         a, b, covariance = _straight_axes(best, k, scale, float(sd[1]))
-    flags = set()
+    flags = reach_flags(sharp, best, a, b)
     if rest:
         flags.add(Flag.AT_REST)
-    if best.chi2 > POOR_CHI2 and sharp.noise_known:
-        flags.add(Flag.POOR_FIT)
-    reach = float(np.max(np.hypot(a, b)) + max(sharp.form.half_size_px)) if np.all(np.isfinite(a)) else 0.0
-    if reach > sharp.paper_px:
-        flags.add(Flag.PAPER_EDGE)
     if window is not None and window.phase_rad is None and abs(window.cycles - round(window.cycles)) > 0.05:
         flags.add(Flag.PART_CYCLES)
     return Measurement(
@@ -140,6 +145,78 @@ def _whole_cycles(
         extra_blur_px2=float(best.p[2]),
         chi2=best.chi2,
     )
+
+
+def reach_flags(sharp: SharpTarget, best: Solution, a: FloatArray, b: FloatArray) -> set[Flag]:
+    """What the residuals and the smear's reach say."""
+    flags = set()
+    if best.chi2 > POOR_CHI2 and sharp.noise_known:
+        flags.add(Flag.POOR_FIT)
+    reach = float(np.hypot(np.hypot(*a), np.hypot(*b))) + max(sharp.form.half_size_px)
+    if reach > sharp.paper_px:
+        flags.add(Flag.PAPER_EDGE)
+    return flags
+
+
+def _declared(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, law: DisplacementLaw) -> Measurement:
+    """Fit the vector that multiplies a declared course; both of its signs are tried."""
+    k = len(setting.by_shape)
+
+    def motion(fx: FloatArray, fy: FloatArray, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        return nodes_transfer(fx, fy, vector, law.displacement[None], law.weight)
+
+    spread = float(law.weight @ law.displacement**2)
+    model, weights = blurred_model(setting, motion), pixel_weights(sharp, setting.planes)
+    prior = nuisance_prior(sharp, blur, 2)
+    solutions = []
+    for start in _starts(sharp, setting, blur, k):
+        values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
+        vector = vectors[:, 1] * np.sqrt(max(values[1], 0.02) * 0.5 / spread)
+        for sign in (1.0, -1.0):
+            solutions.append(
+                solve(setting.planes, weights, model, np.concatenate((start[: 3 + k], sign * vector)), prior)
+            )
+    best = min(solutions, key=lambda x: x.cost)
+    mirrored = min((x.cost for x in solutions if float(x.p[-2:] @ best.p[-2:]) < 0), default=np.inf)
+    pick = [0, 1, 3 + k, 4 + k]
+    covariance = np.zeros((6, 6))
+    covariance[:4, :4] = best.covariance[np.ix_(pick, pick)] * variance_scale(sharp, best)
+    signed = mirrored - best.cost > 9.0 * max(best.chi2, 1.0)
+    a = best.p[-2:].copy()
+    if not signed and not np.array_equal(positive(a), a):
+        a = -a
+        covariance[:2, 2:4] *= -1
+        covariance[2:4, :2] *= -1
+    flags = reach_flags(sharp, best, a, np.zeros(2))
+    sd = float(np.sqrt(a @ covariance[2:4, 2:4] @ a)) / max(float(np.hypot(*a)), 1e-12)
+    if float(np.hypot(*a)) < REST_SIGMAS * sd:
+        flags.add(Flag.AT_REST)
+    return Measurement(
+        sharp.name, best.p[:2].copy(), a, np.zeros(2), covariance, signed, frozenset(flags), float(best.p[2]), best.chi2
+    )
+
+
+def _known_window(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, window: Window, *, orbit: bool) -> Measurement:
+    """One frame through a known window: the axes as over whole cycles, but without the bias of the part cycle.
+
+    The phase of a single frame has a mirror image that fits as well, so it is not reported; see `measure_group`.
+    """
+    moment = setting.blob.moment_px2 if setting.blob is not None else np.eye(2)
+    spread = 2 * (moment - sharp.form.moment_px2 - blur.mean_px2 * np.eye(2))
+    best, _ = solve_windowed(sharp, [setting], [window], [blur], spread)
+    covariance = best.covariance * variance_scale(sharp, best) + timing_covariance(best, [setting], [window])
+    pick = [0, 1, *range(len(best.p) - 4, len(best.p))]
+    value, cov = best.p[pick], covariance[np.ix_(pick, pick)]
+    centre, a, b, cov = phased_axes(value, cov)
+    flags = reach_flags(sharp, best, a, b)
+    size = float(np.hypot(*a))
+    sd_a = float(np.sqrt(a @ cov[2:4, 2:4] @ a)) / max(size, 1e-12)
+    if size < REST_SIGMAS * sd_a:
+        flags.add(Flag.AT_REST)
+    sd_b = float(np.sqrt(max(np.trace(cov[4:, 4:]), 0)))
+    if not orbit or float(np.hypot(*b)) < REST_SIGMAS * sd_b:
+        b = np.zeros(2)
+    return Measurement(sharp.name, centre, a, b, cov, False, frozenset(flags), float(best.p[2]), best.chi2)
 
 
 def _starts(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, k: int) -> list[FloatArray]:
@@ -173,24 +250,8 @@ def _starts(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, k: int) -> li
 
 def _orbit_axes(free: Solution, k: int, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     pick = [0, 1, 3 + k, 4 + k, 5 + k]
-    cov = free.covariance[np.ix_(pick, pick)] * scale
-
-    def axes(p: FloatArray) -> FloatArray:
-        lam, vectors = np.linalg.eigh(moment_matrix(p[2:]))
-        lam = np.maximum(lam, 1e-12)
-        return np.concatenate(
-            (p[:2], positive(vectors[:, 1]) * np.sqrt(lam[1]), positive(vectors[:, 0]) * np.sqrt(lam[0]))
-        )
-
-    centre = free.p[pick]
-    value = axes(centre)
-    jacobian = np.empty((6, 5))
-    for column in range(5):
-        step = np.zeros(5)
-        step[column] = 1e-5 * max(1.0, abs(centre[column]))
-        up, down = axes(centre + step), axes(centre - step)
-        jacobian[:, column] = (up - down) / (2 * step[column])
-    return value[2:4], value[4:6], jacobian @ cov @ jacobian.T
+    value, cov = moment_axes(free.p[pick], free.covariance[np.ix_(pick, pick)] * scale)
+    return value[2:4], value[4:6], cov
 
 
 def _straight_axes(

@@ -52,6 +52,8 @@ class Solution:
         Degrees of freedom.
     converged
         False when the iterations ran out.
+    gain
+        (k, n, h, w) change of the parameters by a change of each pixel, DN⁻¹; carries any other error through.
     """
 
     p: FloatArray
@@ -62,6 +64,7 @@ class Solution:
     cost: float
     dof: int
     converged: bool
+    gain: FloatArray
 
     @property
     def chi2(self) -> float:
@@ -71,13 +74,11 @@ class Solution:
 
 def light_coordinates(planes: Planes) -> tuple[FloatArray, FloatArray]:
     """Positions scaled to −1..1 across the patch, (n, h, w) each."""
-    x, y = planes.positions()
     shape = planes.values.shape
     _, height, width = shape
-    half_x, half_y = max(planes.period * width / 2, 1.0), max(planes.period * height / 2, 1.0)
-    u = (x - planes.origin_px[0] - half_x) / half_x
-    v = (y - planes.origin_px[1] - half_y) / half_y
-    return np.broadcast_to(u, shape), np.broadcast_to(v, shape)
+    u = (2 * np.arange(width) + 1) / width - 1
+    v = (2 * np.arange(height) + 1) / height - 1
+    return np.broadcast_to(u, shape), np.broadcast_to(v[:, None], shape)
 
 
 def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatArray:
@@ -204,6 +205,8 @@ def solve(
             converged = True
             break
     covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale)
+    through_light = np.einsum("nka,nap->nkp", inner[:, :, :k].transpose(0, 2, 1), weighted[:, k:])
+    gain = np.einsum("kj,njp->knp", covariance, weighted[:, :k] - through_light).reshape(k, *y.shape)
     normalised = residual * np.sqrt(weight)
     dof = int(np.count_nonzero(weight)) - k - 4 * n
-    return Solution(p, covariance, light, normalised, signal, cost, dof, converged)
+    return Solution(p, covariance, light, normalised, signal, cost, dof, converged, gain)

@@ -10,8 +10,8 @@ from labdaemon.blur.model import blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Start, StillMeasurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.weights import nuisance_prior, pixel_weights, variance_scale
 from labdaemon.blur.solve import solve
+from labdaemon.blur.weights import nuisance_prior, pixel_weights, variance_scale
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 

@@ -15,15 +15,23 @@ from labdaemon.blur.solve import Prior, Solution
 
 def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Prior:
     """Prior on (x, y, extra variance, shape…, motion…): defocus from the controls, shape from the sharp frame."""
-    covariance = sharp.form.shape_covariance
-    k = len(covariance)
+    k = len(sharp.form.shape_covariance)
     precision = np.zeros((3 + k + motion_count, 3 + k + motion_count))
     precision[2, 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
-    if k:
-        precision[3 : 3 + k, 3 : 3 + k] = np.linalg.pinv(covariance + 1e-10 * np.eye(k), hermitian=True)
+    precision[3 : 3 + k, 3 : 3 + k] = shape_precision(sharp)
     mean = np.zeros(len(precision))
     mean[2] = blur.mean_px2
     return Prior(mean, precision)
+
+
+def shape_precision(sharp: SharpTarget) -> FloatArray:
+    """(k, k) inverse covariance of the target's shape parameters as the sharp frame left them."""
+    covariance = sharp.form.shape_covariance
+    k = len(covariance)
+    if k == 0:
+        return np.zeros((0, 0))
+    result: FloatArray = np.linalg.inv(covariance + 1e-10 * np.eye(k))
+    return result
 
 
 def pixel_weights(sharp: SharpTarget, planes: Planes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:

@@ -41,7 +41,7 @@ def part_cycles(ax: float, ay: float, bx: float, by: float, cycles: float, phase
 
 def airy_kernel(width_px: float, reach_px: float = 12.0) -> FloatArray:
     """Sampled Airy pattern, (2 J1(πr/w)/(πr/w))², w = λN in pixels."""
-    from scipy.special import j1  # noqa: PLC0415
+    from scipy.special import j1
 
     half = int(reach_px * FINE)
     y, x = np.mgrid[-half : half + 1, -half : half + 1] / FINE

@@ -1,0 +1,79 @@
+"""All targets of one frame, with the defocus that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labdaemon.blur.law import DisplacementLaw
+from labdaemon.blur.measure import measure
+from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window
+from labdaemon.blur.pixels import FloatArray, Patch
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.errors import UsageError
+
+
+def measure_frame(
+    sharps: Sequence[SharpTarget],
+    patches: Sequence[Patch],
+    *,
+    window: Window | None = None,
+    extra_blur: ExtraBlur | None = None,
+    starts: Sequence[Start | None] | None = None,
+    orbit: bool = True,
+    law: DisplacementLaw | None = None,
+    camera_shift_px: FloatArray | None = None,
+) -> list[Measurement]:
+    """Measure the targets of one frame.
+
+    Parameters
+    ----------
+    sharps, patches
+        Target and its part of the blurred frame, one by one.
+    extra_blur
+        From `frame_blur` over the control targets.
+    starts
+        One a target, or none.
+    window, orbit, law, camera_shift_px
+        As for `measure`.
+
+    Returns
+    -------
+    list of Measurement
+        In the order given.
+
+    Raises
+    ------
+    UsageError
+        Sequences of different lengths.
+    """
+    if len(sharps) != len(patches) or (starts is not None and len(starts) != len(sharps)):
+        raise UsageError("give one patch (and one start, if any) for each sharp target")
+    begin: Sequence[Start | None] = starts if starts is not None else [None] * len(sharps)
+    return [
+        measure(
+            sharp,
+            patch,
+            window=window,
+            extra_blur=extra_blur,
+            start=start,
+            orbit=orbit,
+            law=law,
+            camera_shift_px=camera_shift_px,
+        )
+        for sharp, patch, start in zip(sharps, patches, begin, strict=True)
+    ]
+
+
+def displacement(sharp: SharpTarget, later: SharpTarget) -> tuple[FloatArray, FloatArray]:
+    """Static displacement of a target between two sharp sets.
+
+    Returns
+    -------
+    shift, covariance
+        (2,) px and (2, 2) px²; NaN where either could not be fitted.
+    """
+    if not (sharp.usable and later.usable):
+        return np.full(2, np.nan), np.full((2, 2), np.nan)
+    return later.centre_px - sharp.centre_px, later.covariance_px2 + sharp.covariance_px2

@@ -1,0 +1,104 @@
+"""Captures of one steady motion at several opening phases, measured together: signed vectors a and b."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labdaemon.blur.measure import DEFAULT_BLUR, nothing, reach_flags
+from labdaemon.blur.model import Setting, prepare
+from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window
+from labdaemon.blur.pixels import Patch
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.solve import Solution
+from labdaemon.blur.weights import variance_scale
+from labdaemon.blur.windowed import FRAME, solve_windowed, timing_covariance
+from labdaemon.errors import UsageError
+from labdaemon.flags import Flag
+
+
+def measure_group(
+    sharp: SharpTarget,
+    patches: Sequence[Patch],
+    windows: Sequence[Window],
+    *,
+    extra_blur: Sequence[ExtraBlur] | ExtraBlur | None = None,
+    starts: Sequence[Start] | None = None,
+) -> Measurement:
+    """Measure one steady motion from several frames opened at known phases.
+
+    The mean position is free in each frame (a tenth of a pixel of drift would turn into tens of degrees); a, b and the
+    target's shape are common. Timing uncertainty of each window enters the covariance.
+
+    Parameters
+    ----------
+    sharp
+        The target at rest.
+    patches, windows
+        One a frame; every window with its phase.
+    extra_blur
+        Of each frame, or one for all.
+    starts
+        Expected place in each frame.
+
+    Returns
+    -------
+    Measurement
+        `phased` is True; the centre is the mean over frames. With a single frame, or several that see the same part of
+        the cycle, mirrored solutions fit alike: then `Flag.AMBIGUOUS` is set.
+
+    Raises
+    ------
+    UsageError
+        Not one window a patch, or a window without phase.
+    """
+    count = len(patches)
+    if count == 0 or len(windows) != count or (starts is not None and len(starts) != count):
+        raise UsageError("a group needs one window (and one start, if any) for each frame")
+    if any(window.phase_rad is None for window in windows):
+        raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
+    if not sharp.usable:
+        return nothing(sharp, {Flag.NOT_FOUND})
+    blurs = [extra_blur or DEFAULT_BLUR] * count if not isinstance(extra_blur, Sequence) else list(extra_blur)
+    settings: list[Setting] = []
+    for index, patch in enumerate(patches):
+        expected = starts[index].centre_px if starts is not None else sharp.centre_px
+        setting = prepare(sharp, patch, np.asarray(expected, dtype=np.float64))
+        if setting is None:
+            return nothing(sharp, {Flag.NOT_FOUND})
+        settings.append(setting)
+    moments = [s.blob.moment_px2 for s in settings if s.blob is not None]
+    spread = 2 * (np.mean(moments, axis=0) - sharp.form.moment_px2) if moments else 4.0 * np.eye(2)
+    best, runner_up = solve_windowed(sharp, settings, windows, blurs, spread)
+    return _report(sharp, best, runner_up, settings, windows)
+
+
+def _report(
+    sharp: SharpTarget, best: Solution, runner_up: Solution | None, settings: list[Setting], windows: Sequence[Window]
+) -> Measurement:
+    count = len(settings)
+    covariance = best.covariance * variance_scale(sharp, best) + timing_covariance(best, settings, windows)
+    pick = np.zeros((6, len(best.p)))
+    for index in range(count):
+        pick[0, FRAME * index] = pick[1, FRAME * index + 1] = 1 / count
+    pick[2:, -4:] = np.eye(4)
+    value, cov = pick @ best.p, pick @ covariance @ pick.T
+    flags = set(reach_flags(sharp, best, value[2:4], value[4:6]))
+    size = float(np.linalg.norm(value[2:]))
+    direction = value[2:] / max(size, 1e-12)
+    if size < 3.0 * float(np.sqrt(direction @ cov[2:, 2:] @ direction)):
+        flags.add(Flag.AT_REST)
+    elif runner_up is not None and runner_up.cost - best.cost < 9.0 * max(best.chi2, 1.0):
+        flags.add(Flag.AMBIGUOUS)
+    return Measurement(
+        sharp.name,
+        value[:2],
+        value[2:4],
+        value[4:6],
+        cov,
+        True,
+        frozenset(flags),
+        float(np.mean(best.p[2 : FRAME * count : FRAME])),
+        best.chi2,
+    )

@@ -1,0 +1,141 @@
+"""Motion seen through known windows: one or several frames, a and b common, each frame's mean position its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from labdaemon.blur.law import nodes_transfer, window_nodes
+from labdaemon.blur.model import Setting, blurred_model
+from labdaemon.blur.mosaic import Planes
+from labdaemon.blur.motion import ExtraBlur, Window
+from labdaemon.blur.pixels import ComplexArray, FloatArray
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.solve import Model, Prior, Solution, solve
+from labdaemon.blur.weights import pixel_weights, shape_precision
+
+FRAME = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's
+
+
+def solve_windowed(
+    sharp: SharpTarget, settings: list[Setting], windows: Sequence[Window], blurs: list[ExtraBlur], spread: FloatArray
+) -> tuple[Solution, Solution | None]:
+    """Best solution from starts all round the phase circle, and the best one that differs from it in phase."""
+    k = len(settings[0].by_shape)
+    count = len(settings)
+    planes = stack([s.planes for s in settings])
+    model = _group_model(settings, planes, windows, 3.0 + 1.3 * float(np.sqrt(max(np.max(np.abs(spread)), 0.1))))
+    size = FRAME * count + k + 4
+    precision, mean = np.zeros((size, size)), np.zeros(size)
+    for index, blur in enumerate(blurs):
+        precision[FRAME * index + 2, FRAME * index + 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
+        mean[FRAME * index + 2] = blur.mean_px2
+    precision[FRAME * count : FRAME * count + k, FRAME * count : FRAME * count + k] = shape_precision(sharp)
+    prior = Prior(mean, precision)
+    values, vectors = np.linalg.eigh(spread)
+    major = np.sqrt(max(values[1], 0.05)) * vectors[:, 1]
+    minor = np.sqrt(max(values[0], 0.02)) * vectors[:, 0]
+    solutions = []
+    for psi in np.arange(8) * np.pi / 4:
+        for turn in (1.0, -1.0) if values[0] > 0.1 * values[1] else (1.0,):
+            c, s = np.cos(psi), np.sin(psi)
+            a, b = major * c - turn * minor * s * 0.7, major * s + turn * minor * c * 0.7
+            start = np.concatenate(
+                [*([*x.start_px, e.mean_px2] for x, e in zip(settings, blurs, strict=True)), np.zeros(k), a, b]
+            )
+            for index, window in enumerate(windows):
+                basis, weight = window_nodes(window, 3.0)
+                start[FRAME * index : FRAME * index + 2] -= a * (basis[0] @ weight) + b * (basis[1] @ weight)
+            solutions.append(solve(planes, pixel_weights(sharp, planes), model, start, prior, max_iterations=25))
+    solutions.sort(key=lambda x: x.cost)
+    best = solutions[0]
+    size_px = float(np.linalg.norm(best.p[-4:]))
+    others = [x for x in solutions[1:] if float(np.linalg.norm(x.p[-4:] - best.p[-4:])) > 0.3 * size_px]
+    return best, others[0] if others else None
+
+
+def stack(parts: list[Planes]) -> Planes:
+    """Patches of several frames as one, each lattice keeping its own place; smaller ones are padded with nothing."""
+    height = max(p.values.shape[1] for p in parts)
+    width = max(p.values.shape[2] for p in parts)
+    values, valid, offsets = [], [], []
+    origin = parts[0].origin_px
+    for p in parts:
+        pad = ((0, 0), (0, height - p.values.shape[1]), (0, width - p.values.shape[2]))
+        values.append(np.pad(p.values, pad))
+        valid.append(np.pad(p.valid, pad))
+        offsets.append(p.offset_px + (np.asarray(p.origin_px) - np.asarray(origin)))
+    channel = np.concatenate([p.channel for p in parts])
+    return Planes(
+        np.concatenate(values), np.concatenate(valid), channel, np.concatenate(offsets), parts[0].period, origin
+    )
+
+
+def _group_model(settings: list[Setting], planes: Planes, windows: Sequence[Window], reach_px: float) -> Model:
+    count = len(settings)
+    lattices = len(settings[0].planes.channel)
+    models = []
+    for setting, window in zip(settings, windows, strict=True):
+        basis, weight = window_nodes(window, reach_px)
+        models.append(blurred_model(setting, partial(_at_nodes, basis=basis, weight=weight)))
+
+    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        dark = np.zeros(planes.values.shape)
+        by_p = np.zeros((len(p), *planes.values.shape))
+        for index, (one, setting) in enumerate(zip(models, settings, strict=True)):
+            own = np.concatenate((p[FRAME * index : FRAME * index + FRAME], p[FRAME * count :]))
+            image, slopes = one(own)
+            rows = slice(lattices * index, lattices * (index + 1))
+            _, height, width = setting.planes.values.shape
+            dark[rows, :height, :width] = image
+            by_p[FRAME * index : FRAME * index + FRAME, rows, :height, :width] = slopes[:FRAME]
+            by_p[FRAME * count :, rows, :height, :width] = slopes[FRAME:]
+        return dark, by_p
+
+    return model
+
+
+def _at_nodes(
+    fx: FloatArray, fy: FloatArray, vectors: FloatArray, *, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    return nodes_transfer(fx, fy, vectors, basis, weight)
+
+
+def timing_covariance(best: Solution, settings: list[Setting], windows: Sequence[Window]) -> FloatArray:
+    """Covariance that the windows' phase and length uncertainties add, by finite differences of the model."""
+    planes = stack([s.planes for s in settings])
+    size = len(best.p)
+    total = np.zeros((size, size))
+    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[-4:]))
+    base, _ = _group_model(settings, planes, windows, reach)(best.p)
+    level = _level(best)
+    for index, window in enumerate(windows):
+        for kind, sd in (("phase", window.sd_phase_rad), ("exposure", window.sd_exposure_s)):
+            if sd <= 0:
+                continue
+            phase = window.phase_rad or 0.0
+            other = (
+                Window(window.frequency_hz, window.exposure_s, phase + sd)
+                if kind == "phase"
+                else Window(window.frequency_hz, window.exposure_s + sd, phase)
+            )
+            changed = [*windows]
+            changed[index] = other
+            moved, _ = _group_model(settings, planes, changed, reach)(best.p)
+            change = -level * (moved - base)
+            shift = np.einsum("knhw,nhw->k", best.gain, change)
+            total += np.outer(shift, shift)
+    return total
+
+
+def _level(best: Solution) -> FloatArray:
+    _, height, width = best.signal.shape
+    u = (2 * np.arange(width) + 1) / width - 1
+    v = (2 * np.arange(height) + 1) / height - 1
+    light = best.light
+    level: FloatArray = (
+        light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v[:, None]
+    ) * light[:, 3, None, None]
+    return level
