@@ -107,8 +107,8 @@ def _nothing(dot: Dot, patch: Patch, noise: NoiseModel, known: bool, *, saturate
 def dot_model(planes: Planes, grid: Grid) -> Model:
     """Darkness of a resting dot and its derivatives.
 
-    Parameters are x, y, q0, q1, q2, blur variance, then for each lattice the extra variance, the diffraction width and the
-    offset in x and y.
+    Parameters are x, y, q0, q1, q2, blur variance, then for each lattice the extra variance, the diffraction width
+    and the offset in x and y.
     """
     n = planes.values.shape[0]
     f2 = grid.fx**2 + grid.fy**2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy import ndimage
@@ -53,7 +54,7 @@ def estimate_noise(patches: Sequence[Patch]) -> NoiseModel:
     signal, square = np.concatenate(signals), np.concatenate(squares)
     edges = np.unique(np.percentile(signal, np.linspace(0, 100, 9)))
     centres, variances, counts = [], [], []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         part = (signal >= low) & (signal <= high)
         if np.count_nonzero(part) < 10:
             continue

@@ -1,7 +1,7 @@
 """Damped Gauss–Newton on patches: a few shape and motion parameters, and each channel's own light.
 
-A pixel of channel c is L_c(x)·(1 − k_c·m(x; p)) with L_c = w0 + w1·x + w2·y (white and light gradient), k_c the contrast
-of ink against paper and m the modelled darkness. Each channel's four numbers are eliminated from the normal equations
+A pixel of channel c is L_c(x)·(1 − k_c·m(x; p)) with L_c = w0 + w1·x + w2·y (white and light gradient), k_c the
+contrast of ink against paper and m the modelled darkness. Each channel's four numbers are eliminated from the normal equations
 (variable projection), so that what is left is as small as the motion itself.
 """
 
@@ -90,10 +90,9 @@ def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatAr
     normal = (design * w[:, None]) @ design.transpose(0, 2, 1)
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(4)
     right = (design * w[:, None]) @ planes.values.reshape(n, -1, 1)
-    solution = np.linalg.solve(normal, right)[..., 0]
+    solution: FloatArray = np.linalg.solve(normal, right)[..., 0].astype(np.float64)
     solution[:, 3] /= np.where(np.abs(solution[:, 0]) > 1e-12, solution[:, 0], 1.0)
-    result: FloatArray = solution
-    return result
+    return solution
 
 
 def render_light(planes: Planes, light: FloatArray, dark: FloatArray) -> FloatArray:

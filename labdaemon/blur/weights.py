@@ -30,7 +30,7 @@ def shape_precision(sharp: SharpTarget) -> FloatArray:
     k = len(covariance)
     if k == 0:
         return np.zeros((0, 0))
-    result: FloatArray = np.linalg.inv(covariance + 1e-10 * np.eye(k))
+    result: FloatArray = np.linalg.inv(covariance + 1e-10 * np.eye(k)).astype(np.float64)
     return result
 
 
