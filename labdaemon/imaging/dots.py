@@ -95,7 +95,7 @@ def find_dots(
     kept = _white_enough(_distinct(checked), limits)
     kept = [c for c in kept if not any(_inside(c.shape, polygon) for polygon in exclude)]
     kept.sort(key=lambda c: (c.shape.y_px, c.shape.x_px))
-    extents = paper_extent(grey, [c.shape for c in kept], [(c.ink, c.paper) for c in kept])
+    extents = paper_extent(grey, [c.shape for c in kept], [c.ink for c in kept])
     return [
         Dot(
             x_px=c.shape.x_px,

@@ -16,9 +16,13 @@ FloatArray = NDArray[np.float64]
 RAYS = 72
 REACH = 16.0
 """How far is looked, in radii of the dot; paper that goes on beyond counts as ending there."""
+FALL, RISE = 0.4, 0.6
+"""Change against the running level, in parts of its contrast to the ink, at which paper ends."""
+FOLLOW = 0.25
+"""How much of a change the running level takes over at each step."""
 
 
-def paper_extent(grey: Grey, dots: Sequence[Ellipse], levels: Sequence[tuple[float, float]]) -> list[float]:
+def paper_extent(grey: Grey, dots: Sequence[Ellipse], inks: Sequence[float]) -> list[float]:
     """Distance from each dot's centre to the nearest point that is not its white paper, px.
 
     Parameters
@@ -27,22 +31,22 @@ def paper_extent(grey: Grey, dots: Sequence[Ellipse], levels: Sequence[tuple[flo
         (h, w), linear.
     dots
         The dots' ellipses.
-    levels
-        (ink, paper) brightness of each.
+    inks
+        Brightness of each dot's ink.
 
     Returns
     -------
-    One distance a dot. Along each of 72 rays the paper ends where the brightness leaves the running level of paper by
-    more than 30 % of the contrast (a shadow, an edge, another dot, a brighter surface) or where the frame ends; slow
-    changes of light are followed.
+    One distance a dot. Along each of 72 rays the paper ends where the brightness falls below the ray's running level by
+    40 % of the contrast, rises above it by 60 % (an edge, another dot, a brighter surface), or where the frame ends;
+    slow changes of light and folds in the paper are followed.
     """
     result: list[float] = []
     height, width = grey.shape
     angles = np.arange(RAYS) * (2.0 * np.pi / RAYS)
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for dot, (ink, paper) in zip(dots, levels, strict=True):
+    for dot, ink in zip(dots, inks, strict=True):
         r = dot.semi_major_px
-        start = r + max(2.5, 0.12 * r)
+        start = r + max(3.0, 0.15 * r)
         step = max(1.0, r / 12.0)
         distances = np.arange(start, REACH * r, step)
         at = directions[:, None, :] * distances[None, :, None] + np.array([dot.x_px, dot.y_px])
@@ -53,18 +57,17 @@ def paper_extent(grey: Grey, dots: Sequence[Ellipse], levels: Sequence[tuple[flo
         near = cv2.medianBlur(np.ascontiguousarray(grey[y0:y1, x0:x1]), 5)
         local = (at - np.array([x0, y0])).astype(np.float32)
         values = cv2.remap(near, local[..., 0], local[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        result.append(_nearest_end(values.astype(np.float64), inside, distances, paper, paper - ink))
+        result.append(_nearest_end(values.astype(np.float64), inside, distances, ink))
     return result
 
 
-def _nearest_end(
-    values: FloatArray, inside: NDArray[np.bool_], distances: FloatArray, paper: float, contrast: float
-) -> float:
-    level = np.full(len(values), paper)
-    nearest = float(distances[-1])
+def _nearest_end(values: FloatArray, inside: NDArray[np.bool_], distances: FloatArray, ink: float) -> float:
+    # Each ray starts from its own paper: labels are creased, and half of one may lie in shadow.
+    level = np.maximum(np.median(values[:, :2], axis=1), 1e-6)
     for k, distance in enumerate(distances):
         value = values[:, k]
-        if not inside[:, k].all() or (np.abs(value - level) > 0.3 * contrast).any():
+        left = (value < level - FALL * (level - ink)) | (value > level + RISE * (level - ink))
+        if left.any() or not inside[:, k].all():
             return float(distance)
-        level += 0.15 * (value - level)
-    return nearest
+        level += FOLLOW * (value - level)
+    return float(distances[-1])
