@@ -1,0 +1,252 @@
+"""Writes a data-set folder as a campaign would have left it, with the truth beside it: for tests and first tries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labdrivers.sim.dng import write_dng
+from labdrivers.sim.layout import Layout, make_layout
+from labdrivers.sim.lens import Camera, FloatArray, Shift
+from labdrivers.sim.motions import Harmonic, random_motions
+from labdrivers.sim.optics import Optics
+from labdrivers.sim.render import render_frame
+from labdrivers.sim.scene import Mosaic, Occluder, Scene
+from labdrivers.sim.sensor import Sensor
+
+BLURRED_WHITE_DN = 2900.0
+
+
+def make_folder(
+    path: Path | str,
+    *,
+    seed: int = 0,
+    cameras: int = 2,
+    size: str = "small",
+    targets: int = 24,
+    diameters_mm: Sequence[float] = (8.0,),
+    amplitude_mm: tuple[float, float] = (0.3, 3.0),
+    orbit: float = 0.0,
+    captures: int = 1,
+    frequency_hz: float = 5.0,
+    exposure_s: float = 1.0,
+    phase_rad: Sequence[float] | None = None,
+    tell: str = "all",
+    rest_offset_mm: float = 0.0,
+    sharp_frames: int = 1,
+    camera_shift_px: float = 0.0,
+    defocus_px: float = 0.0,
+    white_dn: float = BLURRED_WHITE_DN,
+    occluded: int = 0,
+    paper_mm: float | None = None,
+    texture: float = 0.004,
+    gaussian_optics: bool = False,
+    nef: bool = False,
+    pattern: str = "RGGB",
+    survey_sd_mm: float = 0.05,
+    distance_mm: float = 1000.0,
+    approximate_places: bool = False,
+) -> Path:
+    """Render a folder of frames, with `rig.toml`, `control.csv` and `truth.csv`.
+
+    Parameters
+    ----------
+    path
+        Folder to write; made if absent.
+    seed
+        Of everything random in it.
+    cameras
+        1 (planar motion), 2 or 3 (motion in space).
+    size
+        ``small`` (1936 x 1296, 12.2 µm pixels) or ``d80`` (3900 x 2613, 6.1 µm).
+    targets, diameters_mm
+        How many dots, and their diameters in turn.
+    amplitude_mm
+        Smallest and largest semi-amplitude; drawn evenly in their logarithm.
+    orbit
+        Ratio of minor to major semi-axis, 0 for straight paths.
+    captures
+        How many, each with motions of its own.
+    frequency_hz, exposure_s
+        Excitation and shutter; a product that is no whole number leaves a part cycle.
+    phase_rad
+        Opening phases. Every capture then becomes a group of exposures of the same motion, one at each phase.
+    tell
+        What `capture.toml` says: ``all`` (frequency, exposure, phase and group), ``window`` (no phase) or ``nothing``.
+    rest_offset_mm
+        Standard deviation by which the mean position differs from rest.
+    sharp_frames
+        Frames at rest, each with its own noise.
+    camera_shift_px, defocus_px
+        How far each blurred frame is shifted on the sensor against the sharp one (in a random direction), and how
+        much it is out of focus (diameter of the blur circle).
+    white_dn
+        What white paper reads in the middle of the frame; above 4095 it is clipped.
+    occluded
+        How many targets of each blurred frame have a cable hanging before them.
+    paper_mm
+        Side of the labels; by default they exceed the largest motion.
+    texture, gaussian_optics, nef, pattern
+        Paper grain; Gaussian lens blur in place of diffraction; the D80's compression; colour mosaic.
+    survey_sd_mm
+        Error of the surveyed control points, as stated beside them.
+    distance_mm
+        From cameras to targets.
+    approximate_places
+        Write `targets.csv` as well.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ValueError
+        If an option is not offered or the labels do not fit.
+    """
+    if tell not in ("all", "window", "nothing"):
+        raise ValueError(f"tell must be 'all', 'window' or 'nothing', not {tell!r}")
+    folder = Path(path)
+    sizes = tuple(float(d) for d in diameters_mm)
+    side = paper_mm if paper_mm is not None else max(sizes) + 2.0 * amplitude_mm[1] + 3.0 * rest_offset_mm + 14.0
+    layout = make_layout(
+        seed=seed,
+        cameras=cameras,
+        size=size,
+        targets=targets,
+        diameters_mm=sizes,
+        paper_mm=side,
+        texture=texture,
+        distance_mm=distance_mm,
+    )
+    rng = np.random.default_rng([seed, 51])
+    # The pinhole is the same; binned pixels are twice as large.
+    optics = Optics(
+        "gaussian" if gaussian_optics else "airy", pitch_um=layout.pitch_um, sigma_px=0.8 * 6.1 / layout.pitch_um
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "rig.toml").write_text(_rig_toml(layout, sizes))
+    (folder / "control.csv").write_text(_control_csv(layout, survey_sd_mm, rng))
+    if approximate_places:
+        (folder / "targets.csv").write_text(_targets_csv(layout.scene, rng))
+    for number, (name, camera) in enumerate(layout.cameras.items()):
+        sensor = Sensor(pattern, nef=nef, serial=6000001 + number)
+        for k in range(sharp_frames):
+            seed_k = seed * 1009 + number * 101 + k
+            sharp = render_frame(layout.scene, camera, optics=optics, sensor=sensor, seed=seed_k, exposure_s=1.0)
+            suffix = f"-{k + 1}" if k else ""
+            _write(folder / "sharp" / f"{name}{suffix}.dng", sharp.mosaic, sensor, 1.0)
+    rows = ["capture,target,x_mm,y_mm,z_mm,ax,ay,az,bx,by,bz,diameter_mm"]
+    for index in range(captures):
+        motions = random_motions(layout.scene, rng, amplitude_mm, orbit, frequency_hz, rest_offset_mm, cameras == 1)
+        label = f"c{index + 1}"
+        shots = [(label, 0.0)] if phase_rad is None else [(f"{label}-{k + 1}", p) for k, p in enumerate(phase_rad)]
+        for shot, (capture, opening) in enumerate(shots):
+            truth_rows: list[str] = []
+            for number, (name, camera) in enumerate(layout.cameras.items()):
+                sensor = Sensor(pattern, nef=nef, serial=6000001 + number)
+                frame = render_frame(
+                    layout.scene,
+                    camera,
+                    motions=motions,
+                    opened_s=opening / (2.0 * np.pi * frequency_hz),
+                    exposure_s=exposure_s,
+                    frequency_hz=frequency_hz,
+                    phase_rad=opening,
+                    white_dn=white_dn,
+                    shift=_shift(rng, camera_shift_px),
+                    optics=replace(optics, defocus_px=defocus_px),
+                    sensor=sensor,
+                    occluders=_cables(layout.scene, camera, rng, occluded),
+                    seed=seed * 1009 + 500 + ((index * 17 + shot) * 7 + number),
+                )
+                _write(folder / "captures" / capture / f"{name}.dng", frame.mosaic, sensor, exposure_s)
+                truth_rows = [
+                    _truth_row(label, target.name, motions[target.name], truth.mean_mm, target.diameter_mm)
+                    for target, truth in zip(layout.scene.targets, frame.truth.values(), strict=True)
+                ]
+            if tell != "nothing":
+                text = _capture_toml(frequency_hz, exposure_s, opening if tell == "all" else None)
+                if phase_rad is not None:
+                    text += f'group = "{label}"\n'
+                (folder / "captures" / capture / "capture.toml").write_text(text)
+            if shot == 0:
+                rows += truth_rows
+    (folder / "truth.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def _write(file: Path, mosaic: Mosaic, sensor: Sensor, exposure_s: float) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_dng(
+        file, mosaic, sensor.pattern, sensor.black, sensor.white, serial=str(sensor.serial), exposure_s=exposure_s
+    )
+
+
+def _shift(rng: np.random.Generator, size_px: float) -> Shift:
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    return Shift(size_px * float(np.cos(angle)), size_px * float(np.sin(angle)), 2e-5 * size_px)
+
+
+def _cables(scene: Scene, camera: Camera, rng: np.random.Generator, count: int) -> tuple[Occluder, ...]:
+    chosen = rng.permutation(len(scene.targets))[:count]
+    hung = []
+    for index in chosen:
+        target = scene.targets[index]
+        ends = np.array([target.centre_mm, (target.centre_mm[0] + target.diameter_mm, *target.centre_mm[1:])])
+        (x, y), rim = camera.project(ends)
+        width = 0.35 * float(rim[0] - x)
+        x = x + 0.2 * width
+        half = 2.2 * float(rim[0] - x)
+        corners = ((x - width, y - half), (x, y - half), (x + width, y + half), (x, y + half))
+        hung.append(Occluder(tuple((float(a), float(b)) for a, b in corners)))
+    return tuple(hung)
+
+
+def _rig_toml(layout: Layout, diameters_mm: tuple[float, ...]) -> str:
+    lines = []
+    for name, camera in layout.cameras.items():
+        lines += [
+            f"[cameras.{name}]",
+            f"image_size = {list(camera.image_size)}",
+            f"focal_px = {list(camera.focal_px)}",
+            f"principal_point_px = {list(camera.principal_point_px)}",
+            f"distortion = {list(camera.distortion)}",
+            "",
+        ]
+    unique = sorted(set(diameters_mm))
+    lines += ["[targets]", f"diameter_mm = {unique[0] if len(unique) == 1 else unique}", ""]
+    lines += ["[control]", 'family = "apriltag-36h11"', f"size_mm = {layout.scene.tags[0].size_mm:g}", ""]
+    return "\n".join(lines)
+
+
+def _control_csv(layout: Layout, sd_mm: float, rng: np.random.Generator) -> str:
+    lines = ["name,x_mm,y_mm,z_mm,sd_mm"]
+    for tag in layout.scene.tags:
+        x, y, z = np.asarray(tag.centre_mm) + rng.normal(0.0, sd_mm, 3)
+        lines.append(f"{tag.number},{x:.4f},{y:.4f},{z:.4f},{sd_mm:g}")
+    return "\n".join(lines) + "\n"
+
+
+def _targets_csv(scene: Scene, rng: np.random.Generator) -> str:
+    lines = ["name,x_mm,y_mm,z_mm"]
+    for target in scene.targets:
+        x, y, z = np.asarray(target.centre_mm) + rng.normal(0.0, 1.0, 3)
+        lines.append(f"{target.name},{x:.1f},{y:.1f},{z:.1f}")
+    return "\n".join(lines) + "\n"
+
+
+def _capture_toml(frequency_hz: float, exposure_s: float, phase_rad: float | None) -> str:
+    lines = [f"frequency_hz = {float(frequency_hz)!r}", f"exposure_s = {float(exposure_s)!r}"]
+    if phase_rad is not None:
+        lines.append(f"phase_rad = {float(phase_rad)!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _truth_row(capture: str, name: str, motion: Harmonic, mean_mm: FloatArray, diameter_mm: float) -> str:
+    numbers = [*mean_mm, *motion.a_mm, *motion.b_mm]
+    return ",".join([capture, name, *(f"{float(v):.6f}" for v in numbers), f"{diameter_mm:g}"])
