@@ -68,8 +68,8 @@ class FakeWorld:
     amplitude_mm: float = 0.0
     changed_at: float = -1e9
     before_mm: float = 0.0
-    heartbeat_at: float | None = None
-    enabled: bool = True
+    heartbeat_at: float = -1e9
+    enabled: bool = False
     faults: dict[str, deque[FaultKind]] = field(default_factory=dict)
     faults_met: int = 0
     stopped_at: list[float] = field(default_factory=list)
@@ -110,10 +110,14 @@ class FakeWorld:
         spent_s, self.spent_s = self.spent_s, 0.0
         return spent_s
 
+    def is_enabled(self) -> bool:
+        """Whether the enable line is up; without a heartbeat it drops for good."""
+        self.enabled = self.enabled and self.clock.monotonic() - self.heartbeat_at < HEARTBEAT_S
+        return self.enabled
+
     def moves(self) -> bool:
         """Whether the table shakes: told to, and the amplifier still enabled."""
-        beaten = self.heartbeat_at is None or self.clock.monotonic() - self.heartbeat_at < HEARTBEAT_S
-        return self.running and self.enabled and beaten
+        return self.running and self.is_enabled()
 
     def drive(self, running: bool, frequency_hz: float, amplitude_mm: float) -> None:
         """Change the excitation; the structure follows with its own time constant."""
@@ -186,8 +190,15 @@ class FakeTrigger:
         self.world.enter(self.name, "wait", timeout_s)
         return None
 
+    def raise_enable(self) -> None:
+        self.world.enter(self.name, "raise_enable")
+        self.world.heartbeat_at = self.world.clock.monotonic()
+        self.world.enabled = True
+
     def heartbeat(self) -> None:
         self.world.enter(self.name, "heartbeat", 0.001)
+        if not self.world.is_enabled():
+            raise DeviceRefused("the enable line is down", device=self.name)
         self.world.heartbeat_at = self.world.clock.monotonic()
 
     def drop_enable(self) -> None:

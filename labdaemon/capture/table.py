@@ -48,6 +48,8 @@ class Table:
         self._stops = 0
         self._stopping = asyncio.Lock()
         self._last_hz: float | None = None
+        self.enabled = False
+        """Whether the enable line is up, as far as we know."""
         self.excitation: Excitation | None = None
         """What it was last set to; None at rest."""
         self.settled: Settled | None = None
@@ -105,7 +107,10 @@ class Table:
         self.excitation = self.settled = None
         self.on_stop()
         async with self._stopping:
-            return await bring_to_rest(self._rig, at_once=at_once)
+            rest = await bring_to_rest(self._rig, at_once=at_once)
+        if rest.by == "enable":
+            self.enabled = False
+        return rest
 
     async def confirm(self) -> None:
         """Ask the controller whether it still does what it was set to.
@@ -135,10 +140,19 @@ class Table:
     async def _set(self, excitation: Excitation) -> None:
         assert self._rig.shaker is not None
         stops = self._stops
+        await self._enable()
         self.excitation, self.settled = excitation, None
         self._last_hz = excitation.frequency_hz
         await self._rig.shaker.call(lambda driver: driver.set(excitation.frequency_hz, excitation.amplitude_mm), SET_S)
         self._refuse_if_stopped(stops)
+
+    async def _enable(self) -> None:
+        """Raise the enable line if it is down, with the output off: the table must not jump."""
+        if self.enabled or self._rig.trigger is None or self._rig.shaker is None:
+            return
+        await self._rig.shaker.call(lambda driver: driver.stop_now())
+        await self._rig.trigger.call(lambda driver: driver.raise_enable())
+        self.enabled = True
 
     def _refuse_if_stopped(self, stops: int) -> None:
         if self._stops != stops:

@@ -13,6 +13,9 @@ from typing import Any
 from labdaemon.journal.journal import Journal, Transaction
 from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
 
+MANUAL = "0000-manual"
+"""Captures that a person or an outside system takes while no campaign runs."""
+
 CAMPAIGN_EVENTS: dict[CampaignState, str] = {
     "running": "campaign.started",
     "paused": "campaign.paused",
@@ -37,8 +40,17 @@ def submit(journal: Journal, name: str, toml: str, digest: str, request_id: str 
     return id
 
 
+def open_manual(journal: Journal) -> str:
+    """The id under which captures outside any campaign are kept; made when first asked for, without an event."""
+    with journal.transaction("campaign.manual") as write:
+        write.execute(
+            "INSERT OR IGNORE INTO campaigns VALUES (?, 0, 'manual', '', '', 'completed', NULL, ?)", MANUAL, write.at
+        )
+    return MANUAL
+
+
 def move_campaign(
-    journal: Journal, campaign: str, state: CampaignState, reason: str | None = None, **data: Any
+    journal: Journal, /, campaign: str, state: CampaignState, reason: str | None = None, **data: Any
 ) -> None:
     """Put a campaign into another state; running again after a pause is told as ``campaign.resumed``."""
     kind = CAMPAIGN_EVENTS[state]

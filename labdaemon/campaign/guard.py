@@ -1,0 +1,140 @@
+"""Watches the rig while a campaign runs, and trips the interlocks.
+
+Four loops: the heartbeat that holds the amplifier's enable line, the gauges while the table moves, cameras and disk
+every half minute, and the measuring queue. The checks themselves are in `labdaemon.campaign.interlocks`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from labdaemon.campaign import interlocks
+from labdaemon.campaign.interlocks import Limits, Sighting
+from labdaemon.capture.capture import Lab
+from labdaemon.capture.devices import Gauge
+from labdaemon.capture.rig import CALL_S, Wired
+from labdaemon.capture.table import displacement_mm
+from labdaemon.errors import DeviceError, DeviceRefused
+
+HEARTBEAT_S = 0.4
+WATCH_S = 0.25
+WATCH_CYCLES = 2.0
+SLOW_S = 30.0
+MISSES = 3
+"""Readings or answers in a row that may be missing before a device counts as lost."""
+
+
+@dataclass(slots=True)
+class Guard:
+    """Runs the interlocks.
+
+    Attributes
+    ----------
+    trip
+        Called with a reason; it stops the table. Calling it again while it is stopped does no harm.
+    free_bytes
+        Room on the data disk.
+    oldest_s
+        How long the oldest capture has waited to be measured.
+    busy
+        Whether a capture is under way, so that cameras must not be asked anything.
+    beats
+        Rounds that all loops have made: what a watchdog looks at.
+    """
+
+    lab: Lab
+    limits: Limits
+    trip: Callable[[str], None]
+    free_bytes: Callable[[], int]
+    oldest_s: Callable[[], float]
+    busy: Callable[[], bool]
+    beats: int = 0
+    _misses: dict[str, int] = field(default_factory=dict)
+    _seen: Sighting | None = None
+
+    async def run(self) -> None:
+        """Watch until cancelled."""
+        async with asyncio.TaskGroup() as loops:
+            loops.create_task(self._heartbeat())
+            loops.create_task(self._gauges())
+            loops.create_task(self._slow())
+
+    async def _heartbeat(self) -> None:
+        trigger, table = self.lab.rig.trigger, self.lab.table
+        while True:
+            if trigger is not None and table.enabled:
+                try:
+                    await trigger.urgent(lambda driver: driver.heartbeat())
+                except DeviceRefused as exc:
+                    table.enabled = False
+                    if table.excitation is not None:
+                        self.trip(f"the amplifier's enable line is down ({exc})")
+                except DeviceError as exc:
+                    self._missed("heartbeat", f"no heartbeat reaches the trigger box ({exc})")
+                else:
+                    self._misses["heartbeat"] = 0
+            self.beats += 1
+            await self.lab.clock.sleep(HEARTBEAT_S)
+
+    async def _gauges(self) -> None:
+        while True:
+            excitation = self.lab.table.excitation
+            if excitation is None:
+                self._seen = None
+            else:
+                for gauge in self.lab.rig.gauges:
+                    await self._watch(gauge, excitation.frequency_hz)
+            await self.lab.clock.sleep(WATCH_S)
+
+    async def _watch(self, gauge: Wired[Gauge], frequency_hz: float) -> None:
+        name, driver = gauge.driver.name, gauge.driver
+        duration_s = max(WATCH_CYCLES / frequency_hz, WATCH_S)
+        try:
+            reading = await gauge.call(lambda gauge: gauge.read(frequency_hz, duration_s=duration_s), CALL_S)
+        except DeviceError as exc:
+            self._missed(name, f"gauge {name} is lost ({exc})")
+            return
+        self._misses[name] = 0
+        excitation = self.lab.table.excitation
+        if excitation is None or excitation.frequency_hz != frequency_hz:
+            return  # it changed while the gauge was read
+        scale = displacement_mm(reading, driver.unit, frequency_hz) / reading.value if reading.value else 1.0
+        now = Sighting(self.lab.clock.monotonic(), scale * reading.value, scale * reading.sd)
+        reason = None
+        if driver.role == "response":
+            reason = interlocks.response_reason(self.limits, now, self._seen)
+            self._seen = now
+        elif self.lab.table.settled is not None:
+            reason = interlocks.table_reason(self.limits, excitation.amplitude_mm, now)
+        if reason is not None:
+            self.trip(reason)
+
+    async def _slow(self) -> None:
+        while True:
+            reason = interlocks.disk_reason(self.limits, self.free_bytes()) or interlocks.stall_reason(
+                self.limits, self.oldest_s()
+            )
+            if reason is not None and self.lab.table.excitation is not None:
+                self.trip(reason)
+            for name in self.lab.rig.cameras:
+                if not self.busy():
+                    await self._ask_camera(name)
+            await self.lab.clock.sleep(SLOW_S)
+
+    async def _ask_camera(self, name: str) -> None:
+        try:
+            status = await self.lab.rig.cameras[name].call(lambda driver: driver.status())
+        except DeviceError as exc:
+            self._missed(name, f"camera {name} is lost ({exc})")
+            return
+        self._misses[name] = 0
+        reason = interlocks.camera_reason(self.limits, name, status)
+        if reason is not None and self.lab.table.excitation is not None:
+            self.trip(reason)
+
+    def _missed(self, what: str, reason: str) -> None:
+        self._misses[what] = self._misses.get(what, 0) + 1
+        if self._misses[what] >= MISSES and self.lab.table.excitation is not None:
+            self.trip(reason)

@@ -1,0 +1,206 @@
+"""Walking one step: what each kind of phase asks of table, shutters and time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+
+from labdaemon.campaign.steps import Shot, Step
+from labdaemon.capture.capture import Lab, keep, take
+from labdaemon.capture.collect import store, wait_all, wait_frame
+from labdaemon.capture.devices import CardFile, Firing
+from labdaemon.capture.pairing import Arrivals
+from labdaemon.capture.places import set_aside_path, sharp_folder, with_opening
+from labdaemon.capture.settle import Excitation
+from labdaemon.clock import rfc3339
+from labdaemon.errors import DeviceError, UsageError
+from labdaemon.journal import records, transitions
+from labdaemon.journal.frames import write_durably
+from labdaemon.journal.records import CaptureRecord, CaptureState
+
+WAIT_SLICE_S = 1.0
+"""Longest single wait for an outside release."""
+
+DONE: tuple[CaptureState, ...] = ("stored", "measured", "unmeasured")
+
+
+@dataclass(slots=True)
+class Walker:
+    """Walks steps of one campaign.
+
+    Attributes
+    ----------
+    measure
+        Takes stored captures over; see `labdaemon.capture.capture.take`.
+    fired
+        Called when shutters have opened: from then on a capture is seen to its end.
+    ended
+        Called when a capture is stored, or has failed.
+    window_s
+        Frames of an outside release arrive within this time.
+    """
+
+    lab: Lab
+    campaign: str
+    measure: Callable[[CaptureRecord], Awaitable[None]]
+    fired: Callable[[CaptureRecord], None]
+    ended: Callable[[], None]
+    window_s: float = 5.0
+
+    async def walk(self, step: Step) -> None:
+        """Do what the step asks, leaving out shots that were taken before an interruption."""
+        match step.kind:
+            case "pause":
+                await self.lab.table.rest()
+                await self.lab.clock.sleep(step.hold_s)
+            case "external":
+                await self._external(step)
+            case "sharp":
+                await self._sharp(step)
+            case _:
+                await self._shaken(step)
+
+    async def _shaken(self, step: Step) -> None:
+        excitation = excitation_of(step)
+        await self.lab.table.shake(excitation)
+        if step.hold_s:
+            await self.lab.clock.sleep(step.hold_s)
+        for place, shot in self._missing(step):
+            await self._take(step, place, shot, excitation)
+
+    async def _sharp(self, step: Step) -> None:
+        if step.at_rest:
+            await self.lab.table.rest()
+        else:
+            note = sharp_folder(self.lab.data, self.campaign, step.sharp_set) / "set.toml"
+            write_durably(note, "at_rest = false\n")
+        if self.lab.rig.trigger is None:
+            await self._external(step)
+            return
+        for place, shot in self._missing(step):
+            await self._take(step, place, shot, None)
+
+    async def _take(self, step: Step, place: int, shot: Shot, excitation: Excitation | None) -> None:
+        order = self.order(step, place, shot)
+        try:
+            await take(self.lab, order, excitation, measure=self.measure, phase_rad=shot.phase_rad, fired=self.fired)
+        finally:
+            self.ended()
+
+    async def _external(self, step: Step) -> None:
+        """Keep what others fire, until as many as planned have come or the time is over."""
+        end_s = self.lab.clock.monotonic() + step.hold_s if step.hold_s else None
+        missing = self._missing(step)
+        taken = 0
+        async for firing, files in self.releases(end_s):
+            place, shot = missing[taken] if taken < len(missing) else (len(step.shots) + taken, Shot(1.0))
+            await self.keep_outside(self.order(step, place, shot), firing, files)
+            taken += 1
+            if missing and taken == len(missing):
+                return
+        if taken < len(missing):
+            raise DeviceError(
+                f"{len(missing) - taken} of {len(missing)} outside releases did not come within {step.hold_s:g} s",
+                device="trigger",
+            )
+
+    async def keep_outside(self, order: CaptureRecord, firing: Firing | None, files: dict[str, CardFile]) -> None:
+        """Store the files of an outside release as a capture."""
+        write = self.lab.recorder.write
+        await write(transitions.intend_capture, order)
+        opened_at = firing.opened_at if firing is not None else self.lab.clock.now()
+        opening_s = firing.opening_s if firing is not None else {}
+        phase_rad = firing.phase_rad if firing is not None else None
+        capture = with_opening(
+            order, rfc3339(opened_at), opening_s, phase_rad, firing.sd_phase_rad if firing is not None else 0.0
+        )
+        await write(
+            transitions.fire_capture,
+            capture.campaign,
+            capture.name,
+            opened_at=rfc3339(opened_at),
+            opening_s=opening_s,
+            phase_rad=capture.phase_rad,
+            sd_phase_rad=capture.sd_phase_rad,
+        )
+        self.fired(capture)
+        try:
+            await self.measure(await keep(self.lab, capture, files))
+        finally:
+            self.ended()
+
+    async def releases(self, end_s: float | None) -> AsyncIterator[tuple[Firing | None, dict[str, CardFile]]]:
+        """Outside releases as they come: what the trigger saw of them (None without one), and a file a camera."""
+        clock, rig = self.lab.clock, self.lab.rig
+        arrivals = Arrivals(tuple(rig.cameras), self.window_s)
+        while end_s is None or clock.monotonic() < end_s:
+            if rig.trigger is not None:
+                firing = await rig.trigger.call(lambda driver: driver.wait(WAIT_SLICE_S), WAIT_SLICE_S + 10.0)
+                if firing is not None:
+                    yield firing, await wait_all(rig, self.lab.recorder, clock, self.lab.camera_timeout_s)
+                continue
+            found = await asyncio.gather(
+                *(wait_frame(camera, self.lab.recorder, clock, WAIT_SLICE_S) for camera in rig.cameras.values())
+            )
+            for name, file in zip(rig.cameras, found, strict=True):
+                if file is not None and (files := arrivals.add(name, file, clock.monotonic())) is not None:
+                    yield None, files
+            for name, file in arrivals.late(clock.monotonic()):
+                await self._set_aside(name, file)
+
+    async def _set_aside(self, name: str, file: CardFile) -> None:
+        """A frame whose companions never came."""
+        path = set_aside_path(self.lab.data, self.campaign, "", name, file.name)
+        camera = self.lab.rig.cameras[name]
+        await store(
+            camera, file, path, self.lab.recorder, self.lab.clock, campaign=self.campaign, capture="", state="set_aside"
+        )
+        message = f"{file.name} came alone, without the other cameras' frames, and was set aside"
+        told = {"device": name, "error": "DeviceError", "message": message, "action": "set aside"}
+        await self.lab.recorder.write(transitions.fault, self.campaign, told)
+
+    def _missing(self, step: Step) -> list[tuple[int, Shot]]:
+        """Shots of the step that no completed capture has."""
+        taken = {
+            capture.shot
+            for capture in records.captures(self.lab.recorder.journal, self.campaign, *DONE, step=step.index)
+        }
+        return [(place, shot) for place, shot in enumerate(step.shots) if place not in taken]
+
+    def order(self, step: Step, place: int, shot: Shot) -> CaptureRecord:
+        """The capture to be, under a name that no earlier attempt had."""
+        earlier = records.captures(self.lab.recorder.journal, self.campaign, step=step.index)
+        attempt = 1 + sum(capture.shot == place for capture in earlier)
+        name = f"{step.label}-{place + 1:02d}" + (f"-r{attempt}" if attempt > 1 else "")
+        return CaptureRecord(
+            campaign=self.campaign,
+            name=name,
+            step=step.index,
+            shot=place,
+            label=step.label,
+            is_sharp=step.kind == "sharp",
+            sharp=step.sharp_set or None,
+            grouped=step.label if step.grouped else None,
+            state="intended",
+            frequency_hz=step.frequency_hz,
+            amplitude_mm=step.amplitude_mm,
+            exposure_s=shot.exposure_s,
+            opened_at=None,
+            opening_s={},
+            phase_rad=None,
+            sd_phase_rad=None,
+            cameras=tuple(self.lab.rig.cameras),
+            files={},
+            reason=None,
+        )
+
+
+def excitation_of(step: Step) -> Excitation:
+    """What a step sets the table to."""
+    if step.frequency_hz is None or step.amplitude_mm is None:
+        raise UsageError(f"step {step.label} is to shake the table, but has no frequency or amplitude")
+    rule = step.settle
+    return Excitation(
+        step.frequency_hz, step.amplitude_mm, rule.max_change_per_cycle, rule.timeout_s, rule.damping_ratio
+    )
