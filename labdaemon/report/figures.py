@@ -1,0 +1,239 @@
+"""Figures as SVG text that stands by itself in a page: an envelope seen from the front and the side, and errors.
+
+Colours come from the page's CSS variables (``--ink``, ``--faint``, ``--grid``), so a figure follows its page.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.report.accuracy import Pair, semi_axes
+
+MAGNIFY = 20.0
+"""Motion is drawn this many times larger than the structure, as the paper's Fig. 10 does."""
+_STOPS = ((59, 111, 182), (108, 92, 201), (170, 71, 188), (222, 66, 118), (233, 84, 52))
+"""Small to large amplitude; legible on white and on black."""
+_ORBIT = np.linspace(0.0, 2 * math.pi, 49)
+
+
+def colour(share: float) -> str:
+    """Colour of an amplitude that is this share (0 to 1) of the largest."""
+    place = min(max(share, 0.0), 1.0) * (len(_STOPS) - 1)
+    low = min(int(place), len(_STOPS) - 2)
+    mix = [round(a + (b - a) * (place - low)) for a, b in zip(_STOPS[low], _STOPS[low + 1], strict=True)]
+    return "#{:02x}{:02x}{:02x}".format(*mix)
+
+
+def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) -> str:
+    """One capture's envelope, motion magnified.
+
+    Parameters
+    ----------
+    rows
+        The capture's rows of `envelope.csv`. Rows without numbers are left out.
+    height
+        Of the drawing, CSS pixels.
+
+    Returns
+    -------
+    str
+        An ``<svg>`` element: a front view (x, z), and a side view (y, z) unless everything lies in one plane.
+    """
+    moving = [(row, axes) for row in rows if (axes := semi_axes(row)) is not None and row.get("x_mm") is not None]
+    if not moving:
+        return "<p>Nothing was measured in this capture.</p>"
+    centres = np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for row, _ in moving])
+    orbits = [
+        centre + MAGNIFY * (np.outer(np.sin(_ORBIT), major) + np.outer(np.cos(_ORBIT), minor))
+        for centre, (_, (major, minor)) in zip(centres, moving, strict=True)
+    ]
+    lengths = [float(np.linalg.norm(major)) for _, (major, _) in moving]
+    drawn = np.vstack(orbits)
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    spans = np.maximum(high - low, 1.0)
+    views = [(0, "x")] + ([(1, "y")] if spans[1] > 0.05 * spans[0] else [])
+    margin, gap = 46.0, 62.0
+    scale = (height - 2 * margin) / max(float(spans[2]), 0.35 * float(max(spans[axis] for axis, _ in views)))
+    parts: list[str] = []
+    left = margin + 14
+    for axis, name in views:
+        view = _View(axis, left, margin, scale, low, high)
+        parts += view.frame(name)
+        for (row, _), centre, orbit, length in zip(moving, centres, orbits, lengths, strict=True):
+            parts += view.target(row, centre, orbit, length, max(lengths))
+        left += float(spans[axis]) * scale + gap
+    width = left - gap + 110
+    parts += _legend(width - 78, margin, max(lengths), scale)
+    drawn_height = float(spans[2]) * scale + 2 * margin
+    return (
+        f'<svg viewBox="0 0 {width:.0f} {drawn_height:.0f}" width="{width:.0f}" role="img" '
+        f'aria-label="Envelope, motion magnified {MAGNIFY:g} times">{"".join(parts)}</svg>'
+    )
+
+
+class _View:
+    """One orthogonal view: a horizontal axis of object space to the right, Z up."""
+
+    def __init__(
+        self,
+        axis: int,
+        left: float,
+        top: float,
+        scale: float,
+        low: NDArray[np.float64],
+        high: NDArray[np.float64],
+    ) -> None:
+        self.axis, self.left, self.top, self.scale = axis, left, top, scale
+        self.low, self.high = (float(low[axis]), float(low[2])), (float(high[axis]), float(high[2]))
+        self.right = left + (self.high[0] - self.low[0]) * scale
+        self.bottom = top + (self.high[1] - self.low[1]) * scale
+
+    def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 3) millimetres to (n, 2) of the drawing."""
+        across = self.left + (points[:, self.axis] - self.low[0]) * self.scale
+        down = self.bottom - (points[:, 2] - self.low[1]) * self.scale
+        return np.stack([across, down], axis=1)
+
+    def frame(self, name: str) -> list[str]:
+        """Grid, ticks and axis names."""
+        parts = [
+            f'<rect x="{self.left - 8:.1f}" y="{self.top - 8:.1f}" width="{self.right - self.left + 16:.1f}" '
+            f'height="{self.bottom - self.top + 16:.1f}" fill="none" stroke="var(--grid)"/>'
+        ]
+        for value in _ticks(self.low[0], self.high[0], (self.right - self.left) / 60):
+            x = self.left + (value - self.low[0]) * self.scale
+            parts.append(
+                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{self.top - 8:.1f}" y2="{self.bottom + 8:.1f}" '
+                f'stroke="var(--grid)"/>'
+            )
+            parts.append(_text(x, self.bottom + 22, f"{value:g}", "middle"))
+        for value in _ticks(self.low[1], self.high[1], (self.bottom - self.top) / 60):
+            y = self.bottom - (value - self.low[1]) * self.scale
+            parts.append(
+                f'<line x1="{self.left - 8:.1f}" x2="{self.right + 8:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
+                f'stroke="var(--grid)"/>'
+            )
+            parts.append(_text(self.left - 13, y + 3.5, f"{value:g}", "end"))
+        parts.append(_text((self.left + self.right) / 2, self.bottom + 38, f"{name} mm", "middle"))
+        parts.append(_text(self.left - 8, self.top - 16, "z mm", "start"))
+        return parts
+
+    def target(
+        self,
+        row: Mapping[str, Any],
+        centre: NDArray[np.float64],
+        orbit: NDArray[np.float64],
+        length: float,
+        largest: float,
+    ) -> list[str]:
+        """A target's orbit, with its name and numbers to read on hovering."""
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in self.place(orbit))
+        (x, y), *_ = self.place(centre[None, :])
+        flags = row.get("flags") or []
+        title = escape(f"{row['target']}: {length:.3f} mm" + (f" ({', '.join(flags)})" if flags else ""))
+        dash = ' stroke-dasharray="3 3"' if flags else ""
+        return [
+            f'<g><title>{title}</title><polygon points="{path}" fill="{colour(length / largest if largest else 0)}" '
+            f'fill-opacity="0.18" stroke="{colour(length / largest if largest else 0)}" stroke-width="2.2" '
+            f'stroke-linejoin="round"{dash}/><circle cx="{x:.1f}" cy="{y:.1f}" r="2.1" fill="var(--ink)"/></g>'
+        ]
+
+
+def _legend(left: float, top: float, largest: float, scale: float) -> list[str]:
+    """Colour bar of the amplitude, and a bar of drawn motion."""
+    parts = []
+    for band in range(24):
+        share = 1 - band / 23
+        parts.append(
+            f'<rect x="{left:.1f}" y="{top + 18 + band * 5:.1f}" width="12" height="5.4" fill="{colour(share)}"/>'
+        )
+    parts.append(_text(left, top + 8, "amplitude mm", "start"))
+    parts += [
+        _text(left + 18, top + 26 + offset * 114, f"{value:.3g}", "start")
+        for offset, value in ((0.0, largest), (0.5, largest / 2), (1.0, 0.0))
+    ]
+    unit = _round_down(40 / (MAGNIFY * scale))
+    length, y = unit * MAGNIFY * scale, top + 180
+    parts.append(
+        f'<path d="M{left:.1f} {y - 4:.1f}v8M{left:.1f} {y:.1f}h{length:.1f}m0 -4v8" stroke="var(--ink)" fill="none"/>'
+    )
+    parts.append(_text(left, y + 19, f"{unit:g} mm of motion", "start"))
+    return parts
+
+
+def errors_svg(captures: Mapping[str, Iterable[Pair]], *, width: float = 640.0, height: float = 260.0) -> str:
+    """Error over true semi-amplitude for every compared target, with a bar of one standard deviation as reported."""
+    points = [
+        (name, pair)
+        for name, pairs in captures.items()
+        for pair in pairs
+        if pair.error_mm is not None and not set(pair.flags) - {"at_rest"}
+    ]
+    if not points:
+        return "<p>Nothing to compare.</p>"
+    left, right, top, bottom = 64.0, width - 150.0, 14.0, height - 40.0
+    most = max(pair.true_mm for _, pair in points) * 1.05 or 1.0
+    reach = max(abs(pair.error_mm or 0.0) + (pair.sd_mm or 0.0) for _, pair in points) * 1.1 or 1e-3
+    names = list(captures)
+
+    def across(value: float) -> float:
+        return left + (right - left) * value / most
+
+    def down(value: float) -> float:
+        return (top + bottom) / 2 - (bottom - top) / 2 * value / reach
+
+    parts = []
+    for value in _ticks(-reach, reach, 5):
+        parts.append(
+            f'<line x1="{left}" x2="{right}" y1="{down(value):.1f}" y2="{down(value):.1f}" '
+            f'stroke="var({"--faint" if value == 0 else "--grid"})"/>'
+        )
+        parts.append(_text(left - 6, down(value) + 3.5, f"{value:g}", "end"))
+    for value in _ticks(0, most, 8):
+        parts.append(_text(across(value), bottom + 16, f"{value:g}", "middle"))
+    parts.append(_text((left + right) / 2, bottom + 33, "true semi-amplitude mm", "middle"))
+    parts.append(_text(14, (top + bottom) / 2, "error mm", "middle", turn=True))
+    for name, pair in points:
+        tint = colour(names.index(name) / max(len(names) - 1, 1))
+        x, error, sd = across(pair.true_mm), pair.error_mm or 0.0, pair.sd_mm or 0.0
+        title = escape(f"{name}, {pair.target}: {error:+.4f} mm of {pair.true_mm:.3f} mm, sd {sd:.4f} mm")
+        parts.append(
+            f'<g stroke="{tint}" fill="{tint}"><title>{title}</title>'
+            f'<path d="M{x:.1f} {down(error - sd):.1f}V{down(error + sd):.1f}" stroke-opacity="0.45"/>'
+            f'<circle cx="{x:.1f}" cy="{down(error):.1f}" r="3" stroke="none"/></g>'
+        )
+    for place, name in enumerate(names):
+        y = top + 12 + place * 17
+        tint = colour(place / max(len(names) - 1, 1))
+        parts.append(f'<circle cx="{right + 16:.1f}" cy="{y - 4:.1f}" r="4" fill="{tint}"/>')
+        parts.append(_text(right + 26, y, name, "start"))
+    return (
+        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" role="img" '
+        f'aria-label="Errors over amplitude">{"".join(parts)}</svg>'
+    )
+
+
+def _text(x: float, y: float, text: str, anchor: str, *, turn: bool = False) -> str:
+    rotation = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if turn else ""
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{rotation}>{escape(text)}</text>'
+
+
+def _ticks(low: float, high: float, about: float) -> list[float]:
+    """Round values between two ends, roughly `about` of them."""
+    step = _round_down((high - low) / max(about, 1.0)) or 1.0
+    first = math.ceil(low / step - 1e-9)
+    return [round(place * step, 12) + 0.0 for place in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def _round_down(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above the value."""
+    if value <= 0:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(factor for factor in (5, 2, 1) if factor * power <= value * (1 + 1e-9)) * power
