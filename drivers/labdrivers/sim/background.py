@@ -49,6 +49,12 @@ def clutter(seed: int, count: int, width: int, height: int) -> NDArray[np.uint8]
             radius = float(rng.uniform(0.004, 0.03) * width)
             middle = tuple(int(v) for v in np.rint(centre * 2**_SHIFT))
             cv2.circle(canvas, middle, int(radius * 2**_SHIFT), colour, -1, cv2.LINE_AA, _SHIFT)
+            # a slotted knob: round things are about, but none that a person would take for a target
+            slot = rng.normal(size=2)
+            slot *= radius / np.linalg.norm(slot)
+            ends = [tuple(int(v) for v in np.rint((centre + side * slot) * 2**_SHIFT)) for side in (-1, 1)]
+            lighter = tuple(min(1.6 * c + 30.0, 160.0) for c in colour)
+            cv2.line(canvas, ends[0], ends[1], lighter, max(2, int(radius / 3)), cv2.LINE_AA, _SHIFT)
         else:
             knots = centre + np.cumsum(rng.normal(0.0, 0.03 * width, (6, 2)), axis=0)
             t = np.linspace(0, 5, 60)
