@@ -165,6 +165,17 @@ class Lens:
         jacobian[..., 1, 7] = fy * 2.0 * x * y
         return jacobian
 
+    def linearise(self, image_px: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals of measured pixels against rays, as a bundle adjustment needs them.
+
+        Returns
+        -------
+        tuple
+            (n, 2) measured minus computed pixels of (n, 2) pixels and slopes, and the derivatives of the computed ones
+            by the slopes (n, 2, 2) and by the interior parameters (n, 2, 9).
+        """
+        return image_px - self.distort(slopes), self.distort_jacobian(slopes), self.parameter_jacobian(slopes)
+
     def undistort(self, image_px: FloatArray) -> FloatArray:
         """Ray slopes of pixels, by Newton's method from the inverse of the radial part.
 
