@@ -30,22 +30,28 @@ class Limits:
     ----------
     contrast
         Least part of the paper's brightness by which the ink is darker.
-    ink_spread
-        Largest deviation within the ink, in parts of the contrast.
+    ink_spread, ink_sd
+        Largest deviation (4th or 96th percentile from the median) and standard deviation within the ink, in parts of the
+        contrast.
     ring_ratio
         Largest ratio, either way, of the paper's brightness on any ray to its median: shaded and shining labels stay.
     out_of_round, out_of_round_px
         Largest rms distance of the edge from its ellipse: a part of the radius, plus pixels for noise. A square's edge
         is off by 0.09 of its mean radius, a hexagon's by 0.04.
+    axis_ratio
+        Least ratio of the axes: 0.26 is a dot seen 75° from its normal.
     whiteness
-        Least brightness of the paper in parts of the other dots' paper: a black disc on something dark is no target.
+        Least brightness of the paper in parts of that of the dots nearby, and half of it in parts of the frame's
+        white: a black disc on something dark is no target.
     """
 
     contrast: float = 0.4
     ink_spread: float = 0.25
+    ink_sd: float = 0.07
     ring_ratio: float = 1.9
     out_of_round: float = 0.018
     out_of_round_px: float = 0.12
+    axis_ratio: float = 0.26
     whiteness: float = 0.4
 
 
@@ -92,7 +98,7 @@ def find_dots(
     checked = [c for c in (_check(grey, blob, limits) for blob in blobs) if c is not None]
     low, high = diameter_range_px
     checked = [c for c in checked if 0.95 * low <= 2.0 * c.shape.semi_major_px <= 1.05 * high]
-    kept = _white_enough(_distinct(checked), limits)
+    kept = _white_enough(grey, _distinct(checked), limits)
     kept = [c for c in kept if not any(_inside(c.shape, polygon) for polygon in exclude)]
     kept.sort(key=lambda c: (c.shape.y_px, c.shape.x_px))
     extents = paper_extent(grey, [c.shape for c in kept], [c.ink for c in kept])
@@ -135,7 +141,7 @@ def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
             return None
         points = shape.points(angles[good], crossing[good])
         fitted = _robust_fit(points)
-        if fitted is None or fitted.semi_minor_px < 0.15 * fitted.semi_major_px:
+        if fitted is None or fitted.semi_minor_px < limits.axis_ratio * fitted.semi_major_px:
             return None
         shape, reach = fitted, 0.25
     residual = np.abs(shape.radii(points) - 1.0) * shape.mean_radius_px
@@ -161,7 +167,7 @@ def _even(grey: Grey, shape: Ellipse, rms: float, limits: Limits) -> _Candidate 
     if contrast < limits.contrast * paper:
         return None
     low, high = np.percentile(inner, (4.0, 96.0))
-    if max(high - ink, ink - low) > limits.ink_spread * contrast:
+    if max(high - ink, ink - low) > limits.ink_spread * contrast or inner.std() > limits.ink_sd * contrast:
         return None
     ring = outer.mean(axis=1)
     uneven = (ring * limits.ring_ratio < paper) | (ring > limits.ring_ratio * paper) | (ring - ink < 0.4 * contrast)
@@ -224,12 +230,21 @@ def _distinct(candidates: list[_Candidate]) -> list[_Candidate]:
     return kept
 
 
-def _white_enough(candidates: list[_Candidate], limits: Limits) -> list[_Candidate]:
-    """Without those whose ground is much darker than the other dots' paper."""
-    if not candidates:
-        return []
-    white = float(np.percentile([c.paper for c in candidates], 75.0))
-    return [c for c in candidates if c.paper >= limits.whiteness * white]
+def _white_enough(grey: Grey, candidates: list[_Candidate], limits: Limits) -> list[_Candidate]:
+    """Without those whose ground is much darker than the frame's white, or than the paper of the dots nearby.
+
+    Light may fall off over a frame, but between neighbours it does not change that much.
+    """
+    white = float(np.percentile(grey[::5, ::5], 97.0))
+    bright = [c for c in candidates if c.paper >= 0.5 * limits.whiteness * white]
+    places = np.array([[c.shape.x_px, c.shape.y_px] for c in bright]).reshape(-1, 2)
+    paper = np.array([c.paper for c in bright])
+    kept: list[_Candidate] = []
+    for c, place in zip(bright, places, strict=True):
+        nearby = np.argsort(np.hypot(*(places - place).T))[1:7]
+        if not nearby.size or c.paper >= limits.whiteness * float(np.median(paper[nearby])):
+            kept.append(c)
+    return kept
 
 
 def _inside(shape: Ellipse, polygon: FloatArray) -> bool:
