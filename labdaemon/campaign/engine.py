@@ -24,10 +24,11 @@ from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.recover import reconnect_lost, recover
 from labdaemon.capture.rig import Rest
-from labdaemon.errors import ConfigError, DeviceError, InterlockError, LabdaemonError, UsageError
+from labdaemon.errors import ConfigError, DeviceError, InterlockError, LabdaemonError
 from labdaemon.journal import records, transitions
-from labdaemon.journal.journal import StorageFull
 from labdaemon.journal.records import CampaignRecord, CaptureRecord
+from labdaemon.journal.storage import StorageFull
+from labdaemon.stream.messages import Busy, NotFound, WrongState
 
 log = logging.getLogger(__name__)
 
@@ -156,7 +157,7 @@ class Engine:
 
         Raises
         ------
-        UsageError
+        WrongState
             The campaign is not running.
         """
         record = self._named(campaign, "running")
@@ -168,14 +169,14 @@ class Engine:
 
         Raises
         ------
-        UsageError
-            It is not paused.
+        WrongState
+            It is not paused, or was planned for another rig.
         """
         record = self._named(campaign, "paused")
         plan = self._planner(record.toml)
         if plan.digest != record.digest:
             if not accept_changed_rig:
-                raise UsageError(f"{record.id}: {CHANGED_RIG}")
+                raise WrongState(f"{record.id}: {CHANGED_RIG}")
             await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)
         await self._move(record, "running")
         self._wish, self._wish_reason = "go", None
@@ -188,6 +189,25 @@ class Engine:
             await self._move(record, "aborted", reason)
             return
         self._want("abort", reason)
+
+    async def capture(self, label: str, *, is_sharp: bool = False, request_id: str | None = None) -> CaptureRecord:
+        """Fire once, as the rig is; for a paused campaign, or for none.
+
+        Raises
+        ------
+        Busy
+            A campaign is running.
+        """
+        if self.current is not None and self._state(self.current.id) != "paused":
+            raise Busy(f"campaign {self.current.id} is running; pause it first")
+        if self._needs_recovery:
+            await self._settle_down()
+        campaign = self.current.id if self.current is not None else None
+        try:
+            return await self.manual.capture(label, campaign=campaign, is_sharp=is_sharp, request_id=request_id)
+        except LabdaemonError:
+            self._needs_recovery = True
+            raise
 
     async def stop(self) -> Rest:
         """Shaker to rest now, in every state; a running campaign is paused.
@@ -544,17 +564,13 @@ class Engine:
         """The campaign that a command is about."""
         id = campaign if campaign is not None else (self.current.id if self.current is not None else None)
         if id is None:
-            raise NoSuchCampaign("no campaign is under way; submit one")
+            raise NotFound("no campaign is under way; submit one")
         record = records.campaign(self.lab.recorder.journal, id)
         if record is None:
-            raise NoSuchCampaign(f"no campaign {id!r}")
+            raise NotFound(f"no campaign {id!r}")
         if record.state not in states:
-            raise UsageError(f"campaign {id} is {record.state}, not {' or '.join(states)}")
+            raise WrongState(f"campaign {id} is {record.state}, not {' or '.join(states)}")
         return record
-
-
-class NoSuchCampaign(UsageError):
-    """A command names a campaign that the journal does not have."""
 
 
 CHANGED_RIG = (

@@ -17,8 +17,8 @@ from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
 from labdaemon.errors import LabdaemonError
 from labdaemon.journal import records, transitions
-from labdaemon.journal.journal import StorageFull
 from labdaemon.journal.records import CaptureRecord
+from labdaemon.journal.storage import StorageFull
 
 Rows = list[dict[str, Any]]
 

@@ -17,8 +17,8 @@ from labdaemon.clock import Clock
 from labdaemon.errors import DataError, DeviceError, TransportError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.frames import part_of, seal
-from labdaemon.journal.journal import StorageFull, as_data_error
 from labdaemon.journal.records import FrameRecord, FrameState
+from labdaemon.journal.storage import StorageFull, as_data_error
 
 SLICE_S = 1.0
 """Longest single wait on a camera, so that a stop or a heartbeat on its line is not held up."""

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from labdaemon.errors import DataError
-from labdaemon.journal.journal import as_data_error
+from labdaemon.journal.storage import as_data_error
 
 PART = ".part"
 BLOCK_BYTES = 1 << 20

@@ -6,50 +6,21 @@ own: the event loop that publishes never waits for a writer's fsync.
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 import sqlite3
 import threading
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 from labdaemon.clock import Clock, rfc3339
-from labdaemon.errors import DataError
 from labdaemon.journal.event import Event
 from labdaemon.journal.schema import APPLICATION_ID, TABLES, VERSION
+from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 
 FILE_NAME = "journal.db"
-LOCK_NAME = "journal.lock"
-
-
-class JournalError(DataError):
-    """The journal cannot be read or written; `retryable` when freeing disk space is all it needs."""
-
-
-class StorageFull(DataError):
-    """No space is left. Nothing was lost: what had been committed stays, what had not is repeated."""
-
-    retryable = True
-    exit_status = 1
-
-
-def as_data_error(exc: sqlite3.Error | OSError, file: Path) -> DataError:
-    """Say what a failed write means and what to do about it."""
-    text = str(exc).lower()
-    if "full" in text or getattr(exc, "errno", None) in (28, 122):
-        return StorageFull("the disk is full; free some space, the daemon then goes on by itself", file=file)
-    if "readonly" in text or "read-only" in text or getattr(exc, "errno", None) in (13, 30):
-        return JournalError("cannot be written (read-only disk or missing permission); remount or chown it", file=file)
-    if "malformed" in text or "not a database" in text or "corrupt" in text:
-        return JournalError(
-            "the journal is damaged and was left as it is; start with --new-journal to set it aside and begin another",
-            file=file,
-        )
-    return JournalError(f"{exc}; check the disk", file=file)
 
 
 class Transaction:
@@ -88,6 +59,8 @@ class Journal:
         Set a damaged journal aside under another name and begin a new one; otherwise it is refused.
     synchronous
         ``FULL`` syncs each commit. ``OFF`` is for simulated time, where nothing is worth keeping.
+    lock
+        Of the folder, where it was taken earlier; otherwise it is taken here. Released by `close`.
 
     Raises
     ------
@@ -104,6 +77,7 @@ class Journal:
         *,
         replace_damaged: bool = False,
         synchronous: Literal["FULL", "OFF"] = "FULL",
+        lock: DataLock | None = None,
     ) -> None:
         self.folder = folder
         self.path = folder / FILE_NAME
@@ -112,15 +86,11 @@ class Journal:
         self._listeners: list[Callable[[str], None]] = []
         self._last_seq = 0
         self._write_lock, self._read_lock = threading.RLock(), threading.Lock()
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock_file = self._take_lock(folder / LOCK_NAME)
-        except OSError as exc:
-            raise as_data_error(exc, folder) from exc
+        self._lock = lock or DataLock(folder)
         try:
             self._open(replace_damaged)
         except BaseException:
-            self._lock_file.close()
+            self._lock.release()
             raise
 
     @property
@@ -177,7 +147,7 @@ class Journal:
         with self._write_lock, self._read_lock:
             self._writer.close()
             self._reader.close()
-            self._lock_file.close()
+            self._lock.release()
 
     def _tell(self, name: str) -> None:
         for listener in self._listeners:
@@ -187,24 +157,6 @@ class Journal:
         with suppress(sqlite3.Error):
             if self._writer.in_transaction:
                 self._writer.execute("ROLLBACK")
-
-    @staticmethod
-    def _take_lock(path: Path) -> IO[str]:
-        file = path.open("a+", encoding="ascii")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as exc:
-            file.seek(0)
-            holder = file.read().strip() or "unknown"
-            file.close()
-            raise JournalError(
-                f"another labdaemon (process {holder}) is using this data folder; stop it or give another --data",
-                file=path.parent,
-            ) from exc
-        file.truncate(0)
-        file.write(f"{os.getpid()}\n")
-        file.flush()
-        return file
 
     def _open(self, replace_damaged: bool) -> None:
         try:
