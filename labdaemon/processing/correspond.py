@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -292,34 +292,3 @@ def _agree(one: _Candidate, other: _Candidate) -> bool:
     shared = [a for a, b in zip(one.dots, other.dots, strict=True) if a == b and a >= 0]
     clash = any(a != b and a >= 0 and b >= 0 for a, b in zip(one.dots, other.dots, strict=True))
     return len(shared) >= 2 and not clash
-
-
-def near_places(camera: SeenDots, places_mm: FloatArray) -> NDArray[np.intp]:
-    """Match a camera's dots to approximate places.
-
-    Parameters
-    ----------
-    camera
-        What it sees.
-    places_mm
-        (m, 3) approximate places.
-
-    Returns
-    -------
-    array
-        (m,) index of each place's dot, −1 where there is none near.
-    """
-    result = np.full(len(places_mm), -1)
-    expected = camera.view.project(places_mm)
-    visible = np.flatnonzero(np.isfinite(expected).all(axis=1) & camera.view.lens.contains(expected))
-    if not visible.size or not len(camera.centres_px):
-        return result
-    gap = np.hypot(*(expected[visible][:, None] - camera.centres_px[None]).transpose(2, 0, 1))
-    apart = np.hypot(*(expected[visible][:, None] - expected[visible][None]).transpose(2, 0, 1))
-    np.fill_diagonal(apart, np.inf)
-    # Half-way to the next place the name would be a guess.
-    reach = np.minimum(0.45 * apart.min(axis=1), 4 * np.median(camera.radius_px)) if visible.size > 1 else np.array([np.inf])
-    rows, columns = linear_sum_assignment(np.minimum(gap, 2 * reach.max() if np.isfinite(reach).all() else gap.max() + 1))
-    good = gap[rows, columns] <= reach[rows]
-    result[visible[rows[good]]] = columns[good]
-    return result

@@ -1,87 +1,72 @@
-"""Names for targets that nobody named: by place, row by row as one reads, the same in every camera."""
+"""Names for targets: as `targets.csv` says, else by place, and the same ones in every later sharp set."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from labdaemon.blur.pixels import FloatArray
-
-
-def reading_order(across: FloatArray, down: FloatArray) -> NDArray[np.intp]:
-    """Order points by rows from the top, each row from the left.
-
-    Parameters
-    ----------
-    across, down
-        (n,) coordinates along and across the rows, in the same unit. A row ends where the next point lies lower by
-        more than half of the typical distance between neighbours.
-
-    Returns
-    -------
-    array
-        (n,) indices into the points.
-    """
-    count = len(across)
-    if count < 2:
-        return np.arange(count)
-    points = np.column_stack([across, down])
-    spacing = float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))
-    from_top = np.argsort(down, kind="stable")
-    row = np.concatenate([[0], np.cumsum(np.diff(down[from_top]) > 0.5 * spacing)])
-    return from_top[np.lexsort((across[from_top], row))]
-
-
-def numbered(count: int) -> list[str]:
-    """T01, T02 … with as many digits as it takes, two at least."""
-    digits = max(2, len(str(count)))
-    return [f"T{number:0{digits}d}" for number in range(1, count + 1)]
+from labdaemon.imaging.naming import match_names, names_by_place
+from labdaemon.processing.correspond import SeenDots
 
 
 def names_in_picture(centres_px: FloatArray) -> list[str]:
-    """Name (n, 2) dots of a picture by their place in it."""
-    return _named(reading_order(centres_px[:, 0], centres_px[:, 1])) if len(centres_px) else []
+    """Name (n, 2) dots of a picture by their place in it, as one reads."""
+    return names_by_place(centres_px[:, 0], -centres_px[:, 1])
 
 
 def names_in_space(places_mm: FloatArray) -> list[str]:
     """Name (n, 3) targets by their place in object space: from the top (Z is up), along the longer of X and Y."""
-    if not len(places_mm):
-        return []
-    spread = np.ptp(places_mm, axis=0)
-    along = places_mm[:, 0] if spread[0] >= spread[1] else places_mm[:, 1]
-    return _named(reading_order(along, -places_mm[:, 2]))
+    spread = np.ptp(places_mm, axis=0) if len(places_mm) else np.zeros(3)
+    return names_by_place(places_mm[:, 0] if spread[0] >= spread[1] else places_mm[:, 1], places_mm[:, 2])
 
 
-def _named(order: NDArray[np.intp]) -> list[str]:
-    names = [""] * len(order)
-    for name, index in zip(numbered(len(order)), order, strict=True):
-        names[index] = name
+def names_like(places_mm: FloatArray, known_mm: FloatArray, known: tuple[str, ...], reach_mm: float) -> list[str]:
+    """Name (n, 3) targets as those of an earlier set, (m, 3), at the same places; new numbers for new targets.
+
+    Places match one to one, at most `reach_mm` apart, so that the total distance is least.
+    """
+    names = [""] * len(places_mm)
+    there = np.flatnonzero(np.isfinite(known_mm).all(axis=1))
+    if len(places_mm) and there.size:
+        distance = cdist(places_mm, known_mm[there])
+        rows, columns = linear_sum_assignment(np.minimum(distance, 2 * reach_mm))
+        for row, column in zip(rows, columns, strict=True):
+            if distance[row, column] <= reach_mm:
+                names[row] = known[there[column]]
+    taken, number = set(known), 0
+    for index, name in enumerate(names):
+        if not name:
+            number += 1
+            while f"T{number:02d}" in taken:
+                number += 1
+            names[index] = f"T{number:02d}"
     return names
 
 
-def match_places(places: FloatArray, known: FloatArray, reach: float) -> NDArray[np.intp]:
-    """Match points one to one to known places so that the total distance is least.
+def near_places(camera: SeenDots, places_mm: FloatArray) -> NDArray[np.intp]:
+    """Match a camera's dots to approximate places.
 
     Parameters
     ----------
-    places, known
-        (n, d) and (m, d), same unit.
-    reach
-        Largest distance of a match.
+    camera
+        What it sees.
+    places_mm
+        (m, 3) approximate places.
 
     Returns
     -------
     array
-        (n,) index into `known`, −1 where none is within reach.
+        (m,) index of each place's dot, −1 where there is none near.
     """
-    result = np.full(len(places), -1)
-    if not len(places) or not len(known):
-        return result
-    distance = cdist(places, known)
-    rows, columns = linear_sum_assignment(np.minimum(distance, 2 * reach))
-    good = distance[rows, columns] <= reach
-    result[rows[good]] = columns[good]
+    result = np.full(len(places_mm), -1)
+    expected = camera.view.project(places_mm)
+    visible = np.flatnonzero(np.isfinite(expected).all(axis=1))
+    visible = visible[camera.view.lens.contains(expected[visible])]
+    names = match_names(expected[visible], [str(place) for place in visible], camera.centres_px)
+    for dot, name in enumerate(names):
+        if name:
+            result[int(name)] = dot
     return result

@@ -19,7 +19,8 @@ from labdaemon.geometry.motion import ObjectMotion
 
 Value: TypeAlias = str | float | None | list[str]
 Row: TypeAlias = dict[str, Value]
-"""A row by column: numbers as floats, None where empty, `flags` as a list. JSON-able."""
+"""A row by column: numbers as floats rounded as the file has them, None where empty, `flags` as a list.
+JSON-able."""
 
 _PX = ("x_px", "y_px", "ax_px", "ay_px", "bx_px", "by_px")
 _MM = ("x_mm", "y_mm", "z_mm", "ax_mm", "ay_mm", "az_mm", "bx_mm", "by_mm", "bz_mm")
@@ -28,7 +29,7 @@ ENVELOPE_COLUMNS = ("capture", "target", *_MM, *(f"sd_{name}" for name in _MM), 
 
 
 def _number(value: float) -> float | None:
-    return round(float(value), 9) if math.isfinite(value) else None
+    return round(float(value), 6) + 0.0 if math.isfinite(value) else None
 
 
 def _flags(flags: Iterable[Flag]) -> list[str]:
@@ -71,7 +72,7 @@ def _cell(value: Value) -> str:
     if isinstance(value, list):
         return ";".join(value)
     if isinstance(value, float):
-        return f"{value:.6f}" if abs(value) < 1e9 else f"{value:.9g}"
+        return f"{value:.6f}"
     return value
 
 

@@ -1,0 +1,192 @@
+"""From every camera's measurements of a capture to its envelope in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from labdaemon.blur.motion import Measurement
+from labdaemon.flags import Flag
+from labdaemon.geometry.join import join_targets
+from labdaemon.geometry.motion import ImageMotion, ObjectMotion
+from labdaemon.geometry.plane import motion_on_plane
+from labdaemon.processing.folder import DataFolder, open_folder
+from labdaemon.processing.frame import FrameResult, measure_frames
+from labdaemon.processing.sharpset import SharpSet
+from labdaemon.processing.tables import Row, envelope_row, measurement_row
+
+SPOILT = frozenset({Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT})
+"""Flags for which a camera is left out where two others see a target well."""
+
+_Seen: TypeAlias = Mapping[str, Mapping[str, Measurement]]
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureResult:
+    """What one capture, or one group of captures, gave.
+
+    Attributes
+    ----------
+    name
+        The capture's or the group's.
+    captures
+        The captures in it.
+    measurement_rows, envelope_rows
+        Rows of the result files.
+    notes
+        What a person should know, one line each.
+    """
+
+    name: str
+    captures: tuple[str, ...]
+    measurement_rows: list[Row] = field(default_factory=list)
+    envelope_rows: list[Row] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
+
+
+def measure_in_folder(folder: DataFolder, sharp: SharpSet, captures: Sequence[str], camera: str) -> FrameResult:
+    """Measure one camera's frames of a capture or group; one task for a worker."""
+    files = [folder.capture(name) for name in captures]
+    prepared = next(one for one in sharp.cameras if one.name == camera)
+    return measure_frames(
+        prepared,
+        [one.frames[camera] for one in files],
+        [one.about.window(camera) for one in files],
+        control=sharp.control,
+        method=sharp.method,
+    )
+
+
+def measure_capture(folder: Path, sharp: SharpSet, captures: tuple[str, ...], name: str) -> CaptureResult:
+    """Measure a capture, or the captures of a group, of a data-set folder.
+
+    Parameters
+    ----------
+    folder
+        The data-set folder.
+    sharp
+        From `prepare_sharp`.
+    captures
+        Names of the captures, several for a group.
+    name
+        Under which to report: the capture's own, or the group's.
+
+    Raises
+    ------
+    DataError, ConfigError
+        One line naming the file at fault.
+    """
+    opened = open_folder(folder)
+    frames = [measure_in_folder(opened, sharp, captures, camera.name) for camera in sharp.cameras]
+    return join_frames(sharp, frames, captures, name)
+
+
+def join_frames(sharp: SharpSet, frames: Sequence[FrameResult], captures: Sequence[str], name: str) -> CaptureResult:
+    """Join the cameras' measurements.
+
+    Parameters
+    ----------
+    sharp
+        The sharp set they were measured against.
+    frames
+        One a camera, in the set's order.
+    captures, name
+        As in `measure_capture`.
+    """
+    by_target: dict[str, dict[str, Measurement]] = {target: {} for target in sharp.targets}
+    rows: list[Row] = []
+    for frame in frames:
+        for measurement in frame.measurements:
+            by_target[measurement.target][frame.camera] = measurement
+            rows.append(measurement_row(name, frame.camera, measurement))
+    joined = _on_plane(sharp, frames[0], by_target) if sharp.plane is not None else _in_space(sharp, frames, by_target)
+    envelope = []
+    for target, sure in zip(sharp.targets, sharp.sure, strict=True):
+        motion = joined.get(target)
+        flags = _flags(sharp, by_target[target], motion, sure=bool(sure))
+        envelope.append(envelope_row(name, target, motion, flags))
+    return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)))
+
+
+def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str, ObjectMotion]:
+    """One camera: motion in the plane, the frame's own shift taken off its means."""
+    plane, camera = sharp.plane, sharp.cameras[0]
+    assert plane is not None
+    result = {}
+    for target, seen in by_target.items():
+        measurement = seen.get(camera.name)
+        if measurement is None or not _measured(measurement):
+            continue
+        picture = _image_motion(measurement)
+        if frame.motions and camera.orientation is not None:
+            place = plane.to_object(plane.to_plane(picture.mean_px[None]))
+            shifts = [m.view.project(place) - camera.orientation.view.project(place) for m in frame.motions]
+            picture = replace(picture, mean_px=picture.mean_px - np.mean(shifts, axis=0)[0])
+        motion = motion_on_plane(plane, picture)
+        if np.isfinite(motion.mean_mm).all():
+            result[target] = motion
+    return result
+
+
+def _in_space(sharp: SharpSet, frames: Sequence[FrameResult], by_target: _Seen) -> dict[str, ObjectMotion]:
+    """Several cameras: each as it stood in this capture."""
+    views = {}
+    for camera, frame in zip(sharp.cameras, frames, strict=True):
+        assert camera.orientation is not None
+        # The captures of a group lie apart by less than a camera moves; the first one's place stands for all.
+        views[camera.name] = frame.motions[0].view if frame.motions else camera.orientation.view
+    pictures = {
+        target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
+        for target, seen in by_target.items()
+    }
+    joined = join_targets(views, pictures)
+    return {
+        target: motion
+        for target, motion in joined.motions.items()
+        if target not in joined.refused and np.isfinite(motion.mean_mm).all()
+    }
+
+
+def _image_motion(measurement: Measurement) -> ImageMotion:
+    return ImageMotion(
+        measurement.centre_px, measurement.a_px, measurement.b_px, measurement.covariance_px2, measurement.phased
+    )
+
+
+def _measured(measurement: Measurement) -> bool:
+    return bool(np.isfinite([*measurement.centre_px, *measurement.a_px, *measurement.b_px]).all())
+
+
+def _trusted(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
+    """The cameras that a target's motion is taken from: all, or the clean ones where two or more are clean."""
+    measured = {camera: one for camera, one in seen.items() if _measured(one)}
+    clean = {camera: one for camera, one in measured.items() if not one.flags & SPOILT}
+    return clean if len(clean) >= 2 else measured
+
+
+def _flags(sharp: SharpSet, seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, sure: bool) -> set[Flag]:
+    """What is said of a target, by those cameras that its motion rests on."""
+    several = len(sharp.cameras) > 1
+    used = _trusted(seen) if several and motion is not None else dict(seen)
+    flags = {flag for one in used.values() for flag in one.flags}
+    if motion is None:
+        return (flags - {Flag.AT_REST}) | {Flag.NOT_FOUND}
+    flags |= motion.flags
+    if not all(Flag.AT_REST in one.flags for one in used.values()):
+        flags.discard(Flag.AT_REST)
+    if not sure:
+        flags.add(Flag.AMBIGUOUS)
+    return flags
+
+
+def _notes(frames: Sequence[FrameResult], name: str) -> list[str]:
+    return [
+        f"{name}: {frame.camera}: control target {target} left out, {reason}"
+        for frame in frames
+        for motion in frame.motions
+        for target, reason in motion.excluded.items()
+    ]

@@ -1,0 +1,207 @@
+"""One camera's frame (or the frames of a group): every target found again and measured, in pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from labdaemon.blur.group import measure_group
+from labdaemon.blur.frame import measure_frame
+from labdaemon.blur.measure import nothing
+from labdaemon.blur.motion import Measurement, Start, Window
+from labdaemon.blur.pixels import Patch
+from labdaemon.blur.sharp import SharpTarget
+from labdaemon.errors import DataError
+from labdaemon.flags import Flag
+from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
+from labdaemon.imaging.frame import RawFrame
+from labdaemon.imaging.raw import read_frame
+from labdaemon.processing.prepare import PreparedCamera
+from labdaemon.processing.search import find_again
+from labdaemon.processing.shift import FrameShift, frame_shift
+from labdaemon.processing.smears import Smear
+from labdaemon.processing.survey import ControlPoint
+from labdaemon.processing.thumbnails import find_thumbnail
+
+MOVED_PX = 1.0
+"""Shift of a frame's control targets from which its measurements are flagged. Less is corrected and harms nothing."""
+PATCH_REACH_PX = 40
+"""How far a textured patch may have moved."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameResult:
+    """A camera's part in a capture.
+
+    Attributes
+    ----------
+    camera
+        Its name.
+    measurements
+        One a target, in the order of the prepared camera's.
+    shifts
+        What the control targets say of each frame.
+    motions
+        How the camera stood in each frame; empty without a survey.
+    """
+
+    camera: str
+    measurements: tuple[Measurement, ...]
+    shifts: tuple[FrameShift, ...]
+    motions: tuple[CameraMotion, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """A frame with the place of everything in it."""
+
+    frame: RawFrame
+    shift: FrameShift
+    smears: list[Smear | None]
+
+
+def measure_frames(
+    camera: PreparedCamera,
+    files: Sequence[Path],
+    windows: Sequence[Window | None],
+    *,
+    control: Sequence[ControlPoint] = (),
+    method: str = "fit",
+) -> FrameResult:
+    """Measure every target of one camera in a capture, or in the captures of a group together.
+
+    Parameters
+    ----------
+    camera
+        Its sharp frames' content.
+    files
+        One frame, or a frame for each capture of the group.
+    windows
+        What is known of each exposure.
+    control
+        The survey, to tell the camera's own motion in space.
+    method
+        "fit", or "paper" for the published method.
+
+    Raises
+    ------
+    DataError
+        A frame cannot be read, has another size, or cannot be from this camera.
+    """
+    looks = [_look(camera, file) for file in files]
+    motions = tuple(_camera_motion(camera, look, control, file) for look, file in zip(looks, files, strict=True))
+    if method == "paper":
+        found = [_by_paper(camera, looks[0], i) for i in range(len(camera.targets))]
+    elif len(files) == 1:
+        found = _measure_one(camera, looks[0], windows[0])
+    else:
+        found = [_measure_together(camera, looks, windows, i) for i in range(len(camera.targets))]
+    if any(_moved(look.shift) for look in looks) or any(motion is not None and motion.moved for motion in motions):
+        found = [replace(one, flags=one.flags | {Flag.CAMERA_MOVED}) for one in found]
+    return FrameResult(
+        camera.name,
+        tuple(found),
+        tuple(look.shift for look in looks),
+        tuple(motion for motion in motions if motion is not None),
+    )
+
+
+def _look(camera: PreparedCamera, file: Path) -> _Look:
+    frame = read_frame(file, expect_size=camera.image_size)
+    grey = frame.grey()
+    shift = frame_shift(frame, grey, camera.control)
+    if camera.thumbnails:
+        smears: list[Smear | None] = []
+        for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):
+            moved, score = find_thumbnail(grey, thumbnail, PATCH_REACH_PX)
+            smears.append(Smear(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0))
+        return _Look(frame, shift, smears)
+    moved = shift.at(camera.centres_px)
+    sought = [replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.sought, moved, strict=True)]
+    return _Look(frame, shift, find_again(grey, sought))
+
+
+def _camera_motion(
+    camera: PreparedCamera, look: _Look, control: Sequence[ControlPoint], file: Path
+) -> CameraMotion | None:
+    """How the camera stood in this frame."""
+    if camera.orientation is None:
+        return None
+    places = {point.name: (point.x_mm, point.y_mm, point.z_mm) for point in control}
+    used = {name for name, ok in zip(camera.orientation.names, camera.orientation.used, strict=True) if ok}
+    stills = [still for still in look.shift.stills if still.target in places and still.target in used]
+    centres = dict(zip(camera.control.names, camera.control.centres_px, strict=True))
+    sharp = np.array([centres[still.target] for still in stills]).reshape(-1, 2)
+    shift = np.array([still.shift_px for still in stills]).reshape(-1, 2)
+    sd = [np.hypot(np.sqrt(np.trace(still.covariance_px2[:2, :2]) / 2), 0.01) for still in stills]
+    try:
+        return camera_motion(
+            camera.orientation.view,
+            np.array([places[still.target] for still in stills]).reshape(-1, 3),
+            sharp,
+            sharp + shift,
+            names=[still.target for still in stills],
+            sd_px=np.array(sd),
+        )
+    except DataError as exc:
+        raise DataError(str(exc), file=file) from None
+
+
+def _moved(shift: FrameShift) -> bool:
+    return bool(shift.stills) and float(np.hypot(*shift.shift_px)) > MOVED_PX
+
+
+def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
+    """The part of a frame that holds a smear and some paper around it."""
+    half_w, half_h = target.form.half_size_px
+    path = np.hypot(smear.a_px, smear.b_px)
+    # The search's lengths come in steps of a quarter; the fit wants paper on all sides.
+    reach = 1.35 * path + np.array([half_w, half_h]) * 1.6 + 10
+    x, y = (round(float(v)) for v in smear.centre_px)
+    w, h = (int(np.ceil(v)) for v in reach)
+    return frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1)
+
+
+def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> list[Measurement]:
+    found = [index for index, smear in enumerate(look.smears) if smear is not None]
+    smears = [smear for smear in look.smears if smear is not None]
+    measured = measure_frame(
+        [camera.targets[index] for index in found],
+        [_cut(look.frame, camera.targets[index], smear) for index, smear in zip(found, smears, strict=True)],
+        window=window,
+        extra_blur=look.shift.extra_blur,
+        starts=[Start(smear.centre_px, smear.a_px, smear.b_px) for smear in smears],
+    )
+    result = [nothing(target, {Flag.NOT_FOUND}) for target in camera.targets]
+    for index, one in zip(found, measured, strict=True):
+        result[index] = one
+    return result
+
+
+def _measure_together(
+    camera: PreparedCamera, looks: Sequence[_Look], windows: Sequence[Window | None], index: int
+) -> Measurement:
+    """One target in all frames of a group."""
+    target = camera.targets[index]
+    smears = [look.smears[index] for look in looks]
+    known = [window for window in windows if window is not None and window.phase_rad is not None]
+    if len(known) < len(windows) or any(smear is None for smear in smears):
+        return nothing(target, {Flag.NOT_FOUND})
+    cuts, starts, blurs = [], [], []
+    for look, smear in zip(looks, smears, strict=True):
+        assert smear is not None
+        cuts.append(_cut(look.frame, target, smear))
+        starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
+        blurs.append(look.shift.extra_blur)
+    shared = [blur for blur in blurs if blur is not None]
+    return measure_group(
+        target, cuts, known, extra_blur=shared if len(shared) == len(blurs) else None, starts=starts
+    )
+
+
+def _by_paper(camera: PreparedCamera, look: _Look, index: int) -> Measurement:
+    """The published method on one target."""
+    raise NotImplementedError

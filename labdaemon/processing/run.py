@@ -1,0 +1,167 @@
+"""A whole data-set folder: sharp sets prepared, captures measured in worker processes, results written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+
+from labdaemon.errors import DataError
+from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
+from labdaemon.processing.folder import DataFolder, open_folder
+from labdaemon.processing.pool import WorkerPool
+from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder
+from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, write_csv
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how many parts of it are done, and of how many."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One capture, or the captures of one group, and the sharp set they belong to."""
+
+    name: str
+    captures: tuple[str, ...]
+    sharp: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class FolderResult:
+    """What processing a folder gave.
+
+    Attributes
+    ----------
+    out
+        Where the result files are.
+    captures
+        One result a capture or group.
+    sharp_sets
+        By name, "" for the flat one.
+    """
+
+    out: Path
+    captures: tuple[CaptureResult, ...]
+    sharp_sets: dict[str, SharpSet]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All notes, of sharp sets and captures."""
+        sets = [note for sharp in self.sharp_sets.values() for note in sharp.notes]
+        return (*sets, *(note for capture in self.captures for note in capture.notes))
+
+
+def jobs(folder: DataFolder) -> list[Job]:
+    """Captures in order, those of a group together at the place of the group's last one.
+
+    Raises
+    ------
+    DataError, ConfigError
+        A capture's file is missing or wrong, or a group's captures name different sharp sets.
+    """
+    members: dict[str, list[str]] = {}
+    sharp: dict[str, str | None] = {}
+    for name in folder.capture_names():
+        about = folder.capture(name).about
+        report = about.group or name
+        if report in members:
+            if about.group is None or sharp[report] != about.sharp:
+                raise DataError(
+                    f"{report} is a group and a capture at once"
+                    if about.group is None
+                    else f"the captures of group {report} name different sharp sets",
+                    file=folder.root / "captures" / name,
+                )
+            members[report] = [*members.pop(report), name]
+        else:
+            members[report], sharp[report] = [name], about.sharp
+    return [Job(name, tuple(captures), sharp[name]) for name, captures in members.items()]
+
+
+def process_folder(
+    folder: Path,
+    out: Path | None = None,
+    *,
+    workers: int = 0,
+    method: str | None = None,
+    progress: Progress | None = None,
+) -> FolderResult:
+    """Run the whole chain on a data-set folder and write `measurements.csv` and `envelope.csv`.
+
+    Parameters
+    ----------
+    folder
+        The data-set folder; only `out` is written to.
+    out
+        Where to, FOLDER/results if None.
+    workers
+        Worker processes, 0 for one a core.
+    method
+        "fit" or "paper"; the rig file's if None.
+    progress
+        Told of what is done.
+
+    Raises
+    ------
+    DataError, ConfigError
+        The input cannot be used: one line naming the file; nothing is written then.
+    """
+    opened = open_folder(folder)
+    if method is not None:
+        settings = opened.rig.processing.model_copy(update={"method": method})
+        rig = opened.rig.model_copy(update={"processing": settings})
+        opened = DataFolder(opened.root, rig, opened.control, opened.targets)
+    todo = jobs(opened)
+    tell = progress or (lambda _what, _done, _of: None)
+    with WorkerPool(workers) as pool:
+        sets = _prepare(opened, todo, pool, tell)
+        results = _measure(opened, todo, sets, pool, tell)
+    target = out if out is not None else folder / "results"
+    rows = [row for result in results for row in result.measurement_rows]
+    write_csv(target / "measurements.csv", MEASUREMENT_COLUMNS, rows)
+    rows = [row for result in results for row in result.envelope_rows]
+    write_csv(target / "envelope.csv", ENVELOPE_COLUMNS, rows)
+    return FolderResult(target, tuple(results), sets)
+
+
+def _prepare(folder: DataFolder, todo: Sequence[Job], pool: WorkerPool, tell: Progress) -> dict[str, SharpSet]:
+    files = [folder.sharp(name or None) for name in dict.fromkeys(job.sharp or "" for job in todo)]
+    tasks = [(one, camera, pool.submit(prepare_in_folder, folder, one, camera)) for one in files for camera in one.frames]
+    _wait([task for *_, task in tasks], "sharp frames", tell)
+    sets: dict[str, SharpSet] = {}
+    for one in files:
+        prepared = [task.result() for its, _, task in tasks if its is one]
+        first = next(iter(sets.values()), None)
+        sets[one.name] = assemble(folder, one, prepared, like=first)
+    return sets
+
+
+def _measure(
+    folder: DataFolder, todo: Sequence[Job], sets: dict[str, SharpSet], pool: WorkerPool, tell: Progress
+) -> list[CaptureResult]:
+    tasks = [
+        [
+            pool.submit(measure_in_folder, folder, sets[job.sharp or ""], job.captures, camera.name)
+            for camera in sets[job.sharp or ""].cameras
+        ]
+        for job in todo
+    ]
+    _wait([task for one in tasks for task in one], "blurred frames", tell)
+    return [
+        join_frames(sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name)
+        for job, one in zip(todo, tasks, strict=True)
+    ]
+
+
+def _wait(tasks: Sequence[Future], what: str, tell: Progress) -> None:  # type: ignore[type-arg]
+    """Wait for all, in order; the first failure stops the rest."""
+    tell(what, 0, len(tasks))
+    try:
+        for done, task in enumerate(tasks, start=1):
+            task.result()
+            tell(what, done, len(tasks))
+    except BaseException:
+        for task in tasks:
+            task.cancel()
+        raise

@@ -1,0 +1,249 @@
+"""A sharp set, prepared: every target under one name in every camera, with its place in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.blur.pixels import FloatArray
+from labdaemon.errors import DataError
+from labdaemon.geometry.lens import Lens
+from labdaemon.geometry.plane import Plane, fit_plane
+from labdaemon.geometry.view import View
+from labdaemon.processing.correspond import SeenDots, correspond, meet
+from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
+from labdaemon.processing.naming import names_in_space, names_like, near_places
+from labdaemon.processing.prepare import CameraSurvey, PreparedCamera, prepare_camera
+from labdaemon.processing.survey import ControlPoint
+
+SIZE_TOLERANCE = 0.25
+"""How far a dot's size may be from nominal, relative, before it is taken for clutter."""
+SAME_PLACE_MM = 15.0
+"""How far a target of a later sharp set may lie from its place in the first and keep its name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharpSet:
+    """Everything that measuring captures needs of the sharp frames. Picklable.
+
+    Attributes
+    ----------
+    name
+        The set's, "" for the flat one.
+    cameras
+        Each with its targets named and in the order in which it sees them.
+    targets
+        All targets' names, in the order of reports.
+    places_mm
+        (n, 3) where they are at rest; NaN where no camera or only one of several sees them.
+    sure
+        (n,) False where which dot of one camera is which of another is a guess.
+    plane
+        The plane of motion, with one camera.
+    control
+        The survey.
+    method
+        How frames are to be measured.
+    notes
+        What a person should know: control targets left out, dots left over.
+    """
+
+    name: str
+    cameras: tuple[PreparedCamera, ...]
+    targets: tuple[str, ...]
+    places_mm: FloatArray
+    sure: NDArray[np.bool_]
+    plane: Plane | None
+    control: tuple[ControlPoint, ...]
+    method: str
+    notes: tuple[str, ...]
+
+
+def camera_survey(folder: DataFolder, camera: str) -> CameraSurvey:
+    """What the folder's rig file and survey say of a camera."""
+    settings = folder.rig.cameras[camera]
+    assert settings.focal_px is not None
+    assert settings.principal_point_px is not None
+    lens = Lens(settings.image_size, settings.focal_px, settings.principal_point_px, settings.distortion)
+    rig = folder.rig
+    return CameraSurvey(lens, folder.control, rig.control.family, rig.control.size_mm, len(rig.cameras) > 1)
+
+
+def prepare_in_folder(folder: DataFolder, files: SharpFiles, camera: str) -> PreparedCamera:
+    """Prepare one camera of a folder's sharp set; one task for a worker."""
+    return prepare_camera(
+        camera, files.frames[camera], at_rest=files.at_rest, survey=camera_survey(folder, camera)
+    )
+
+
+def assemble(
+    folder: DataFolder, files: SharpFiles, prepared: Sequence[PreparedCamera], *, like: SharpSet | None = None
+) -> SharpSet:
+    """Name the targets and match them between cameras.
+
+    Parameters
+    ----------
+    folder, files
+        Where the frames came from.
+    prepared
+        Its cameras.
+    like
+        The campaign's first set, whose names are kept by place.
+
+    Raises
+    ------
+    DataError
+        No target can be made of the dots seen.
+    """
+    sizes = folder.rig.targets.diameter_mm
+    notes = [note for camera in prepared for note in _excluded(camera)]
+    plane = _plane(prepared[0], folder) if len(prepared) == 1 else None
+    seen = [_seen(camera) for camera in prepared]
+    if folder.targets:
+        wanted = np.array([(t.x_mm, t.y_mm, t.z_mm) for t in folder.targets])
+        dots = np.column_stack([near_places(camera, wanted) for camera in seen])
+        names, sure = [t.name for t in folder.targets], np.ones(len(wanted), dtype=np.bool_)
+        if not (dots >= 0).any():
+            raise DataError(
+                "no dot lies near any of these places: check their coordinates (millimetres, the survey's axes)",
+                file=folder.root / "targets.csv",
+            )
+    elif plane is not None:
+        keep = _of_size(seen[0], plane, sizes, folder, files)
+        dots, sure = keep[:, None], np.ones(len(keep), dtype=np.bool_)
+        names = []
+    else:
+        tracks = correspond(seen, sizes)
+        if not tracks:
+            raise DataError(
+                f"no dot of {prepared[0].name} meets one of {prepared[1].name} at the sizes in [targets] diameter_mm "
+                f"({', '.join(f'{size:g}' for size in sizes)} mm): are the camera files swapped, or the sizes wrong?",
+                file=prepared[0].file.parent,
+            )
+        dots, sure = np.array([track.dots for track in tracks]), np.array([track.sure for track in tracks])
+        names = []
+    places = _places(prepared, dots, plane)
+    notes += _left_over(prepared, dots)
+    if not names:
+        names = (
+            names_in_space(places)
+            if like is None
+            else names_like(places, like.places_mm, like.targets, SAME_PLACE_MM)
+        )
+    order = np.argsort(names, kind="stable") if not folder.targets else np.arange(len(names))
+    dots, places, sure, names = dots[order], places[order], sure[order], [names[i] for i in order]
+    cameras = []
+    for column, camera in enumerate(prepared):
+        rows = np.flatnonzero(dots[:, column] >= 0)
+        cameras.append(camera.renamed([int(i) for i in dots[rows, column]], [names[i] for i in rows]))
+    method = folder.rig.processing.method
+    return SharpSet(
+        files.name, tuple(cameras), tuple(names), places, sure, plane, folder.control, method, tuple(notes)
+    )
+
+
+def prepare_sharp(folder: Path, sharp: str | None = None, *, like: SharpSet | None = None) -> SharpSet:
+    """Prepare a sharp set of a data-set folder from its files.
+
+    Parameters
+    ----------
+    folder
+        The data-set folder.
+    sharp
+        The set's name, None for the flat one.
+    like
+        The campaign's first set, whose names are kept.
+
+    Raises
+    ------
+    DataError, ConfigError
+        One line naming the file at fault.
+    """
+    opened = open_folder(folder)
+    files = opened.sharp(sharp)
+    return assemble(opened, files, [prepare_in_folder(opened, files, camera) for camera in files.frames], like=like)
+
+
+def _view(camera: PreparedCamera) -> View:
+    assert camera.orientation is not None
+    return camera.orientation.view
+
+
+def _seen(camera: PreparedCamera) -> SeenDots:
+    radius = np.array([sought.semi_major_px for sought in camera.sought])
+    return SeenDots(_view(camera), camera.centres_px, radius)
+
+
+def _excluded(camera: PreparedCamera) -> list[str]:
+    if camera.orientation is None:
+        return []
+    return [
+        f"{camera.name}: control target {name} left out, {reason}"
+        for name, reason in camera.orientation.excluded.items()
+    ]
+
+
+def _plane(camera: PreparedCamera, folder: DataFolder) -> Plane:
+    """The plane of the control targets, without those that the orientation left out."""
+    assert camera.orientation is not None
+    points = {point.name: point for point in folder.control}
+    used = np.flatnonzero(camera.orientation.used)
+    names = [camera.orientation.names[i] for i in used]
+    surveyed = [points[name] for name in names]
+    try:
+        return fit_plane(
+            camera.orientation.view.lens,
+            camera.control.centres_px[used],
+            np.array([(point.x_mm, point.y_mm, point.z_mm) for point in surveyed]),
+            names=names,
+            sd_image_px=camera.control.sd_px[used],
+            sd_object_mm=np.array([point.sd_mm for point in surveyed]),
+        )
+    except DataError as exc:
+        raise DataError(str(exc), file=folder.root / "control.csv") from None
+
+
+def _of_size(
+    seen: SeenDots, plane: Plane, sizes: tuple[float, ...], folder: DataFolder, files: SharpFiles
+) -> NDArray[np.intp]:
+    """Dots whose size in the plane is one of those in use."""
+    places = plane.to_object(plane.to_plane(seen.centres_px))
+    depth = seen.view.in_camera(places)[:, 2]
+    diameter = 2 * seen.radius_px * depth / np.mean(seen.view.lens.focal_px)
+    off = np.abs(np.log(diameter[:, None] / np.array(sizes)[None])).min(axis=1)
+    keep = np.flatnonzero(off < np.log(1 + SIZE_TOLERANCE))
+    if not keep.size:
+        raise DataError(
+            f"diameter_mm is {', '.join(f'{size:g}' for size in sizes)}, but the dots of the sharp frame measure "
+            f"{np.median(diameter):.3g} mm in the plane of the control targets",
+            file=folder.root / "rig.toml",
+        )
+    return keep
+
+
+def _places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: Plane | None) -> FloatArray:
+    pixels = np.full((len(prepared), len(dots), 2), np.nan)
+    for c, camera in enumerate(prepared):
+        rows = np.flatnonzero(dots[:, c] >= 0)
+        pixels[c, rows] = camera.centres_px[dots[rows, c]]
+    if plane is None:
+        return meet([_view(camera) for camera in prepared], pixels)
+    places = np.full((len(dots), 3), np.nan)
+    rows = np.flatnonzero(dots[:, 0] >= 0)
+    places[rows] = plane.to_object(plane.to_plane(pixels[0, rows]))
+    return places
+
+
+def _left_over(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp]) -> list[str]:
+    notes = []
+    for c, camera in enumerate(prepared):
+        alone = sorted(set(range(len(camera.targets))) - set(dots[:, c].tolist()))
+        if alone:
+            where = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in camera.centres_px[alone[:5]])
+            more = " …" if len(alone) > 5 else ""
+            notes.append(f"{camera.name}: {len(alone)} dot(s) not used, no partner or not a target's size: {where}{more}")
+    return notes
