@@ -122,7 +122,8 @@ class ShakingPhase(PhaseSection):
     def _phases_differ(cls, phases: tuple[float, ...] | None) -> tuple[float, ...] | None:
         if phases is not None:
             turns = sorted(phase % (2 * math.pi) for phase in phases)
-            if any(after - before < 1e-3 for before, after in itertools.pairwise(turns)):
+            gaps = [after - before for before, after in itertools.pairwise([*turns, turns[0] + 2 * math.pi])]
+            if len(turns) > 1 and min(gaps) < 1e-3:
                 raise ValueError("two of the phases are the same")
         return phases
 

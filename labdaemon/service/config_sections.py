@@ -22,7 +22,7 @@ Pixels = Annotated[int, Field(ge=16, le=100_000, strict=True)]
 FocalLength = Annotated[float, Field(ge=50, le=1e6, strict=True)]
 Seconds = Annotated[float, Field(gt=0, le=86400, strict=True)]
 
-_LOOPBACK = re.compile(r"^(tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):\d{1,5}|ipc://.+)$")
+_LOOPBACK = re.compile(r"^tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):\d{1,5}$")
 
 
 class ServiceSection(Section):
@@ -36,13 +36,11 @@ class ServiceSection(Section):
     @field_validator("events", "commands")
     @classmethod
     def _stay_on_loopback(cls, address: str) -> str:
-        if _LOOPBACK.match(address):
+        if _LOOPBACK.match(address) and int(address.rpartition(":")[2]) < 1 << 16:
             return address
-        if re.match(r"^tcp://[^:]+:\d{1,5}$", address):
-            raise ValueError(
-                f"{address} is off loopback, where anybody could move the table; use tcp://127.0.0.1:PORT or ipc://PATH"
-            )
-        raise ValueError(f"{address!r} is no address; write tcp://127.0.0.1:PORT or ipc://PATH")
+        if not _LOOPBACK.match(address) and re.match(r"^tcp://.+:\d{1,5}$", address):
+            raise ValueError(f"{address} is off loopback, where anybody could move the table; use tcp://127.0.0.1:PORT")
+        raise ValueError(f"{address!r} is no address; write tcp://127.0.0.1:PORT")
 
     @model_validator(mode="after")
     def _two_addresses(self) -> ServiceSection:
