@@ -6,10 +6,12 @@ from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
 from labdaemon.geometry.orient import Orientation, orient
 from labdaemon.geometry.plane import Plane, fit_plane, motion_on_plane
+from labdaemon.geometry.together import ControlPoint, Sighting, Together, orient_together
 from labdaemon.geometry.view import View
 
 __all__ = [
     "CameraMotion",
+    "ControlPoint",
     "ImageMotion",
     "Joined",
     "JoinedTargets",
@@ -17,6 +19,8 @@ __all__ = [
     "ObjectMotion",
     "Orientation",
     "Plane",
+    "Sighting",
+    "Together",
     "View",
     "camera_motion",
     "fit_plane",
@@ -24,5 +28,6 @@ __all__ = [
     "join_targets",
     "motion_on_plane",
     "orient",
+    "orient_together",
     "settle_by_continuity",
 ]

@@ -160,8 +160,8 @@ def adjust(network: Network, *, names: Sequence[str] | None = None, most_steps: 
         trial = moved(network, cameras, points)
         there = linearise(trial, surveyed)
         value = there.cost(trial)
-        gain = cost - value
-        settled = (abs(gain) <= 1e-13 * cost and damping <= 1e-6) or cost == 0.0
+        # A last gain of 1e-10 is a change of the unknowns by a hundred-thousandth of their standard deviation.
+        settled = damping <= 1e-3 and abs(cost - value) <= 1e-10 * cost + 1e-14 * len(network.picture)
         if value <= cost or (settled and np.isfinite(value)):
             network, linear, cost, damping = trial, there, value, max(damping * 0.05, 1e-12)
         elif damping > 1e8:

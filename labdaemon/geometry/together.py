@@ -1,0 +1,236 @@
+"""Exterior orientation of all cameras at once: one survey, one adjustment, one covariance.
+
+Cameras oriented one by one on the same survey each inherit its errors in their own way, so that their rays miss each
+other by the survey's uncertainty. Adjusted together, with the control targets' coordinates as observations and the
+monitoring targets (at rest) as ties, they agree to the pixel's uncertainty; what is left of the survey's errors moves
+all of them alike and is in the joint covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from labdaemon.errors import DataError
+from labdaemon.geometry.control import check_names
+from labdaemon.geometry.intersect import position
+from labdaemon.geometry.lens import Lens
+from labdaemon.geometry.motion import FloatArray
+from labdaemon.geometry.network import Network, Pose
+from labdaemon.geometry.orient import Orientation, orient
+from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors
+from labdaemon.geometry.view import View
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """Where a target stands in a frame, with the standard deviation of a coordinate and its apparent size if known."""
+
+    name: str
+    x_px: float
+    y_px: float
+    sd_px: float = 0.05
+    side_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlPoint:
+    """A surveyed target: (3,) mm, and the standard deviation of a coordinate (0 holds it fixed)."""
+
+    name: str
+    position_mm: FloatArray
+    sd_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """All cameras as oriented together.
+
+    Attributes
+    ----------
+    views
+        By camera; each with its own block of `covariance`.
+    covariance
+        (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `views`.
+    orientations
+        Each camera on its own, before the joint adjustment: residuals and what was left out.
+    points
+        (3,) adjusted coordinates of control targets and ties, by name.
+    excluded
+        What was left out and why, by name.
+    sigma0, degrees_of_freedom
+        Of the joint adjustment.
+    """
+
+    views: dict[str, View]
+    covariance: FloatArray
+    orientations: dict[str, Orientation]
+    points: dict[str, FloatArray]
+    excluded: dict[str, str]
+    sigma0: float
+    degrees_of_freedom: int
+
+
+def orient_together(
+    lenses: Mapping[str, Lens],
+    sightings: Mapping[str, Sequence[Sighting]],
+    control: Sequence[ControlPoint],
+    *,
+    side_mm: float | None = None,
+    volume: bool | None = None,
+) -> Together:
+    """Orient all cameras of a rig from their sharp frames.
+
+    Parameters
+    ----------
+    lenses
+        Interior orientation by camera.
+    sightings
+        Targets found in each camera's sharp frame. Names that `control` does not know are ties: they help when two
+        cameras or more see them.
+    control
+        The survey.
+    side_mm
+        True size of the control targets; with the sightings' `side_px` it uncovers a survey in the wrong unit.
+    volume
+        Refuse control in one plane; by default when there are several cameras.
+
+    Returns
+    -------
+    Together
+
+    Raises
+    ------
+    DataError
+        What `orient` refuses, with the camera's name in front; control listed or seen twice.
+    """
+    check_names([point.name for point in control])
+    volume = len(lenses) > 1 if volume is None else volume
+    surveyed = {point.name: point for point in control}
+    orientations: dict[str, Orientation] = {}
+    excluded: dict[str, str] = {}
+    for camera, lens in lenses.items():
+        orientations[camera] = _orient_one(camera, lens, sightings[camera], surveyed, side_mm, volume)
+        for name, reason in orientations[camera].excluded.items():
+            excluded[name] = f"{excluded[name]}; {camera}: {reason}" if name in excluded else f"{camera}: {reason}"
+    network, network_names = _network(lenses, sightings, surveyed, orientations)
+    adjustment, names, gross = adjust_without_gross_errors(network, network_names)
+    cameras = list(lenses)
+    for name in set(names) & set(excluded) & set(surveyed):
+        # Left out by every camera on its own, yet they agree where it is: then the survey is wrong, not the reading.
+        off = adjustment.network.points[names.index(name)] - surveyed[name].position_mm
+        if not np.isfinite(network.survey_sd[network_names.index(name)]).any():
+            place = ", ".join(f"{value:+.1f}" for value in off)
+            excluded[name] = f"mis-surveyed: the cameras see it ({place}) mm from its surveyed place"
+    for error in gross:
+        excluded[error.point] = _explain(error, cameras)
+    square = adjustment.sigma0**2 * adjustment.degrees_of_freedom
+    worse = adjustment.degrees_of_freedom > 0 and square > chi2.isf(0.01, adjustment.degrees_of_freedom)
+    covariance = adjustment.exterior_covariance(scaled=bool(worse))
+    views = {
+        camera: View(lenses[camera], pose.rotation, pose.position, covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6])
+        for i, (camera, pose) in enumerate(zip(cameras, adjustment.network.poses, strict=True))
+    }
+    return Together(
+        views,
+        covariance,
+        orientations,
+        dict(zip(names, adjustment.network.points, strict=True)),
+        excluded,
+        adjustment.sigma0,
+        adjustment.degrees_of_freedom,
+    )
+
+
+def _orient_one(
+    camera: str,
+    lens: Lens,
+    seen: Sequence[Sighting],
+    surveyed: Mapping[str, ControlPoint],
+    side_mm: float | None,
+    volume: bool,
+) -> Orientation:
+    """One camera on its own."""
+    used = [sighting for sighting in seen if sighting.name in surveyed]
+    sides = [sighting.side_px for sighting in used]
+    known_sides = np.array([side for side in sides if side is not None])
+    try:
+        return orient(
+            lens,
+            np.array([[s.x_px, s.y_px] for s in used]).reshape(-1, 2),
+            np.array([surveyed[s.name].position_mm for s in used], dtype=float).reshape(-1, 3),
+            names=[s.name for s in used],
+            sd_image_px=np.array([s.sd_px for s in used]),
+            sd_object_mm=np.array([surveyed[s.name].sd_mm for s in used]),
+            volume=volume,
+            side_px=known_sides if len(known_sides) == len(used) else None,
+            side_mm=side_mm,
+        )
+    except DataError as exc:
+        raise DataError(f"camera {camera}: {exc}") from exc
+
+
+def _network(
+    lenses: Mapping[str, Lens],
+    sightings: Mapping[str, Sequence[Sighting]],
+    surveyed: Mapping[str, ControlPoint],
+    orientations: Mapping[str, Orientation],
+) -> tuple[Network, tuple[str, ...]]:
+    """Network of all cameras, control that was used, and ties."""
+    cameras = list(lenses)
+    rays: dict[str, list[tuple[int, Sighting]]] = {}
+    seen_by: dict[str, list[str]] = {}
+    for index, camera in enumerate(cameras):
+        for sighting in sightings[camera]:
+            rays.setdefault(sighting.name, []).append((index, sighting))
+            seen_by.setdefault(sighting.name, []).append(camera)
+    wrong = {name for name, by in seen_by.items() if all(name in orientations[camera].excluded for camera in by)}
+    names: list[str] = []
+    points: list[FloatArray] = []
+    sds: list[FloatArray] = []
+    entries: list[tuple[int, int, Sighting]] = []
+    for name, every in rays.items():
+        seen = every
+        if name in surveyed and name not in wrong:
+            seen = [(index, s) for index, s in every if name not in orientations[cameras[index]].excluded]
+            place, sd = np.asarray(surveyed[name].position_mm, dtype=float), surveyed[name].sd_mm
+        else:
+            if len({index for index, _ in seen}) < 2:
+                continue
+            try:
+                views = [orientations[cameras[index]].view for index, _ in seen]
+                place = position(views, [np.array([s.x_px, s.y_px]) for _, s in seen])
+            except DataError:
+                continue
+            if not all(np.isfinite(view.project(place[None])).all() for view in views):
+                continue
+            sd = np.inf
+        entries += [(index, len(names), sighting) for index, sighting in seen]
+        names.append(name)
+        points.append(place)
+        sds.append(np.full(3, sd))
+    network = Network(
+        tuple(lenses.values()),
+        tuple(Pose(orientations[c].view.rotation, orientations[c].view.position_mm) for c in cameras),
+        np.arange(len(cameras)),
+        np.array(points),
+        np.array([entry[0] for entry in entries], dtype=np.intp),
+        np.array([entry[1] for entry in entries], dtype=np.intp),
+        np.array([[entry[2].x_px, entry[2].y_px] for entry in entries]),
+        np.array([entry[2].sd_px for entry in entries]),
+        np.array(sds),
+    )
+    return network, tuple(names)
+
+
+def _explain(error: GrossError, cameras: Sequence[str]) -> str:
+    """Say why an observation was left out."""
+    if error.kind == "survey":
+        return f"its survey is off by about {error.size:.2f} mm ({error.test:.0f} times its standard deviation)"
+    return (
+        f"its place in {cameras[error.picture]} is off by about {error.size:.2f} px "
+        f"({error.test:.0f} times its standard deviation): misread or misidentified"
+    )
