@@ -122,7 +122,7 @@ class Engine:
         self.current: CampaignRecord | None = None
         self.plan: Plan | None = None
         self.step: Step | None = None
-        self.activity = "starting"
+        self.doing = "starting"
         """What it is doing, in a word or two, for status."""
         self.faults = 0
         self.last_fault: str | None = None
@@ -152,8 +152,8 @@ class Engine:
         """Queue a checked campaign; its id, once it is in the journal."""
         return asyncio.ensure_future(self._submit(plan, request_id))
 
-    async def pause(self, campaign: str | None = None, reason: str = "asked for") -> None:
-        """Bring the table to rest and wait for `resume`.
+    async def pause(self, campaign: str | None = None, reason: str = "asked for") -> str:
+        """Bring the table to rest and wait for `resume`; the campaign's id.
 
         Raises
         ------
@@ -163,9 +163,10 @@ class Engine:
         record = self._named(campaign, "running")
         await self._move(record, "paused", reason)
         self._want("pause", reason)
+        return record.id
 
-    async def resume(self, campaign: str | None = None, *, accept_changed_rig: bool = False) -> None:
-        """Go on with a paused campaign.
+    async def resume(self, campaign: str | None = None, *, accept_changed_rig: bool = False) -> str:
+        """Go on with a paused campaign; its id.
 
         Raises
         ------
@@ -181,14 +182,16 @@ class Engine:
         await self._move(record, "running")
         self._wish, self._wish_reason = "go", None
         self._news.set()
+        return record.id
 
-    async def abort(self, campaign: str | None = None, reason: str = "asked for") -> None:
-        """End a campaign for good, running, paused or queued."""
+    async def abort(self, campaign: str | None = None, reason: str = "asked for") -> str:
+        """End a campaign for good, running, paused or queued; its id."""
         record = self._named(campaign, "running", "paused", "queued")
         if self.current is None or record.id != self.current.id:
             await self._move(record, "aborted", reason)
-            return
+            return record.id
         self._want("abort", reason)
+        return record.id
 
     async def capture(self, label: str, *, is_sharp: bool = False, request_id: str | None = None) -> CaptureRecord:
         """Fire once, as the rig is; for a paused campaign, or for none.
@@ -241,7 +244,7 @@ class Engine:
                 await self._settle_down()
             record = self._next()
             if record is None:
-                self.activity = "idle"
+                self.doing = "idle"
                 await self._idle(guard)
             else:
                 await self._take_up(record, guard)
@@ -313,7 +316,7 @@ class Engine:
                 return
             if self._wish == "pause":
                 await self._leave()
-                self.activity = "paused"
+                self.doing = "paused"
                 await self._news_or(guard)
                 continue
             ended = {
@@ -323,7 +326,7 @@ class Engine:
             }
             step = next((step for step in plan.steps if step.index not in ended), None)
             if step is None:
-                self.activity = "measuring"
+                self.doing = "measuring"
                 await self.lab.table.stop()
                 await self.measuring.drain()
                 if self._wish == "go" and self._tripped is None:
@@ -370,7 +373,7 @@ class Engine:
     async def _attempt(self, record: CampaignRecord, step: Step, guard: asyncio.Task[None]) -> None:
         """Walk a step once, as a task of its own that wishes and interlocks can cancel."""
         await self._wait_for_window(step)
-        self.activity = step.kind
+        self.doing = step.kind
         write = self.lab.recorder.write
         told = {"label": step.label, "kind": step.kind}
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
@@ -427,7 +430,7 @@ class Engine:
 
     async def _settle_down(self) -> None:
         """After an interruption: reach the cameras again, and complete or give up what was in flight."""
-        self.activity = "recovering"
+        self.doing = "recovering"
         trial = 0
         while True:
             trial += 1
@@ -501,7 +504,7 @@ class Engine:
             left_s = wait_s(self.lab.clock.now().astimezone(), step.not_before, step.not_after)
             if left_s <= 0.0:
                 return
-            self.activity = f"waiting until {step.not_before or 'midnight'}"
+            self.doing = f"waiting until {step.not_before or 'midnight'}"
             await self.lab.table.stop()
             with suppress(TimeoutError):
                 async with asyncio.timeout(min(left_s, POLL_S)):
@@ -511,7 +514,7 @@ class Engine:
                 raise _Interrupted
 
     async def _wait_for_room(self) -> None:
-        self.activity = "waiting for disk space"
+        self.doing = "waiting for disk space"
         while self._free_bytes() < self.limits.min_disk_bytes and self._wish == "go":
             await self.lab.clock.sleep(DISK_POLL_S)
         await self.lab.clock.sleep(DISK_POLL_S)

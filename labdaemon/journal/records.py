@@ -194,6 +194,19 @@ def results(journal: Journal, campaign: str) -> list[ResultRecord]:
     return [ResultRecord(row[0], row[1], json.loads(row[2]), json.loads(row[3])) for row in rows]
 
 
+def count_campaigns(journal: Journal, state: CampaignState) -> int:
+    """How many campaigns are in this state."""
+    return int(journal.read("SELECT count(*) FROM campaigns WHERE state = ?", state)[0][0])
+
+
+def count_captures(journal: Journal, campaign: str) -> int:
+    """How many captures of a campaign are stored, measured or not."""
+    rows = journal.read(
+        "SELECT count(*) FROM captures WHERE campaign = ? AND state IN ('stored', 'measured', 'unmeasured')", campaign
+    )
+    return int(rows[0][0])
+
+
 def reply_to(journal: Journal, request_id: str) -> tuple[str, dict[str, Any]] | None:
     """Method and reply of a request that was already carried out."""
     rows = journal.read("SELECT method, reply FROM requests WHERE request_id = ?", request_id)

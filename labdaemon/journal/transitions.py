@@ -248,6 +248,12 @@ def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> No
         write.emit("fault", campaign, dict(data))
 
 
+def probe(journal: Journal) -> None:
+    """Show that the journal can still be written, and nothing else."""
+    with journal.transaction("probe") as write:
+        write.execute("INSERT OR REPLACE INTO meta VALUES ('alive_at', ?)", write.at)
+
+
 def _answer(write: Transaction, request_id: str | None, method: str, reply: Mapping[str, Any]) -> None:
     if request_id is not None:
         write.execute("INSERT OR REPLACE INTO requests VALUES (?, ?, ?)", request_id, method, json.dumps(reply))

@@ -1,0 +1,93 @@
+"""The rig file's devices: each driver found by its entry point, built, and put on a line of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+from labdaemon.capture.capture import CameraChoice
+from labdaemon.capture.lines import DeviceLine
+from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.errors import DeviceError
+from labdaemon.service.config import RigConfig, find_driver
+
+CONNECT_S = 20.0
+"""A body that was asleep, or a port that a replug moved, takes its time."""
+
+
+def build_rig(config: RigConfig) -> Rig:
+    """Build every driver of a rig file. Opens nothing.
+
+    Raises
+    ------
+    ConfigError
+        No such driver, or it does not understand its section.
+    """
+    trigger = None
+    if config.trigger.driver != "camera":
+        trigger = _build("trigger", config.trigger.driver, "trigger", config.trigger.settings)
+    shaker = None
+    if config.shaker is not None:
+        shaker = _build("shaker", config.shaker.driver, "shaker", config.shaker_settings())
+    return Rig(
+        shaker,
+        trigger,
+        {name: _build("camera", camera.driver, name, camera.settings) for name, camera in config.cameras.items()},
+        tuple(_build("gauge", gauge.driver, gauge.name, gauge.settings) for gauge in config.gauges),
+    )
+
+
+def camera_choices(config: RigConfig) -> dict[str, CameraChoice]:
+    """What the rig file sets on each body."""
+    return {name: CameraChoice(camera.f_number, camera.iso) for name, camera in config.cameras.items()}
+
+
+async def connect_stoppers(rig: Rig) -> dict[str, str]:
+    """Reach whatever can stop the table, shaker and trigger, and return their identities; starts nothing.
+
+    Raises
+    ------
+    DeviceError
+        One did not answer. The other has been tried, and the enable line dropped if that is what is left.
+    """
+    found: dict[str, str] = {}
+    failed: DeviceError | None = None
+    for name, device in (("trigger", rig.trigger), ("shaker", rig.shaker)):
+        if device is None:
+            continue
+        try:
+            found[name] = await device.call(lambda driver: driver.connect(), CONNECT_S)
+        except DeviceError as exc:
+            failed = exc
+    if failed is None:
+        return found
+    if "shaker" in found and rig.shaker is not None:
+        await rig.shaker.urgent(lambda driver: driver.stop_now())
+    elif "trigger" in found and rig.trigger is not None:
+        await rig.trigger.urgent(lambda driver: driver.drop_enable())
+    raise failed
+
+
+async def connect_others(rig: Rig) -> dict[str, str]:
+    """Reach gauges and cameras at once, and return their identities."""
+    gauges = [gauge.call(lambda driver: driver.connect(), CONNECT_S) for gauge in rig.gauges]
+    cameras = [camera.call(lambda driver: driver.connect(), CONNECT_S) for camera in rig.cameras.values()]
+    told = await asyncio.gather(*gauges)
+    seen = await asyncio.gather(*cameras)
+    found = {gauge.driver.name: identity for gauge, identity in zip(rig.gauges, told, strict=True)}
+    for name, info in zip(rig.cameras, seen, strict=True):
+        found[name] = f"{info.manufacturer} {info.model} {info.serial}"
+    return found
+
+
+async def exposure_steps(rig: Rig) -> dict[str, tuple[float, ...]]:
+    """Exposure times that each body offers, as it names them."""
+    return {
+        name: await camera.call(lambda driver: driver.exposure_steps_s(), CALL_S)
+        for name, camera in rig.cameras.items()
+    }
+
+
+def _build(kind: str, driver: str, name: str, settings: Mapping[str, Any]) -> Wired[Any]:
+    return Wired(find_driver(kind, driver).load()(name, settings), DeviceLine(name))

@@ -1,0 +1,89 @@
+"""Measures stored captures in worker processes, and keeps a campaign's result files."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from pathlib import Path
+
+from labdaemon.campaign.measuring import Measured
+from labdaemon.journal.frames import sync_folder
+from labdaemon.journal.storage import as_data_error
+from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
+from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, csv_text, write_csv
+
+SHARP_SETS_KEPT = 2
+"""Prepared sharp sets in memory: the one in use, and the one before it while its last captures are measured."""
+
+
+class PoolMeasurer:
+    """A `labdaemon.campaign.measuring.Measurer` on a worker pool.
+
+    Parameters
+    ----------
+    pool
+        The workers; they are given paths, not pictures.
+    """
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._prepared: dict[tuple[Path, str | None], asyncio.Task[SharpSet]] = {}
+
+    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
+        """Measure captures of a data-set folder jointly; a sharp set is prepared once for all of its captures.
+
+        Raises
+        ------
+        DataError, ConfigError
+            A frame cannot be read, or killed its worker twice; the sharp set does not carry enough control targets.
+        """
+        sharp_set = await self._sharp_set(folder, sharp)
+        result = await asyncio.wrap_future(self._pool.submit(measure_capture, folder, sharp_set, tuple(captures), name))
+        return Measured(list(result.envelope_rows), list(result.measurement_rows))
+
+    async def write_results(self, folder: Path, results: Sequence[Measured]) -> None:
+        """Write both result files anew."""
+        await asyncio.to_thread(
+            _write,
+            folder,
+            [dict(row) for result in results for row in result.envelope],
+            [dict(row) for result in results for row in result.measurements],
+        )
+
+    async def append_results(self, folder: Path, result: Measured) -> None:
+        """Add one result's rows to both files."""
+        await asyncio.to_thread(_append, folder, result)
+
+    async def _sharp_set(self, folder: Path, sharp: str | None) -> SharpSet:
+        key = (folder, sharp)
+        task = self._prepared.get(key)
+        if task is None or (task.done() and (task.cancelled() or task.exception() is not None)):
+            while len(self._prepared) >= SHARP_SETS_KEPT:
+                self._prepared.pop(next(iter(self._prepared)))
+            task = asyncio.create_task(self._prepare(folder, sharp))
+            self._prepared[key] = task
+        return await asyncio.shield(task)
+
+    async def _prepare(self, folder: Path, sharp: str | None) -> SharpSet:
+        return await asyncio.wrap_future(self._pool.submit(prepare_sharp, folder, sharp))
+
+
+def _write(folder: Path, envelope: list[Row], measurements: list[Row]) -> None:
+    write_csv(folder / "results" / "envelope.csv", ENVELOPE_COLUMNS, envelope)
+    write_csv(folder / "results" / "measurements.csv", MEASUREMENT_COLUMNS, measurements)
+
+
+def _append(folder: Path, result: Measured) -> None:
+    """Lines at a file's end; a crash halfway is mended from the journal at the next start."""
+    for name, columns, rows in (
+        ("envelope.csv", ENVELOPE_COLUMNS, result.envelope),
+        ("measurements.csv", MEASUREMENT_COLUMNS, result.measurements),
+    ):
+        path = folder / "results" / name
+        _, _, lines = csv_text(columns, rows).partition("\n")
+        try:
+            with path.open("a", encoding="utf-8", newline="") as file:
+                file.write(lines)
+            sync_folder(path.parent)
+        except OSError as exc:
+            raise as_data_error(exc, path) from exc
