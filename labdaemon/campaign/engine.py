@@ -110,6 +110,7 @@ class Engine:
             busy=lambda: self._fired is not None,
         )
         self.manual = Manual(lab, measuring)
+        measuring.published = self._on_published
         self._news = asyncio.Event()
         self._wish: Wish = "go"
         self._wish_reason: str | None = None
@@ -470,7 +471,7 @@ class Engine:
         if self._wish != "go" and self._walking is not None:
             self._walking.cancel()
 
-    def on_published(self, campaign: str, name: str, rows: Rows) -> None:
+    def _on_published(self, campaign: str, name: str, rows: Rows) -> None:
         """An envelope is out: keep its largest amplitude for status, and judge it."""
         sizes = [
             sum(float(row[f"a{axis}_mm"]) ** 2 for axis in "xyz") ** 0.5

@@ -67,8 +67,6 @@ class Measuring:
         Does the work.
     depth
         Captures (or groups) in hand at a time.
-    published
-        Called with campaign, name and envelope rows of each result, on the event loop.
     """
 
     def __init__(
@@ -79,11 +77,11 @@ class Measuring:
         data: Path,
         *,
         depth: int = 4,
-        published: Callable[[str, str, Rows], None] = lambda campaign, name, rows: None,
     ) -> None:
         self._recorder, self._measurer, self._clock, self._data = recorder, measurer, clock, data
         self._slots = asyncio.Semaphore(depth)
-        self._published = published
+        self.published: Callable[[str, str, Rows], None] = lambda campaign, name, rows: None
+        """Called with campaign, name and envelope rows of each result, on the event loop."""
         self._tasks: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._since: dict[tuple[str, str], float] = {}
         self._group_sizes: dict[str, Mapping[str, int]] = {}
@@ -191,7 +189,7 @@ class Measuring:
         async with self._writing:
             await self._when_there_is_room(lambda: self._measurer.append_results(folder, measured))
         self.finished += 1
-        self._published(campaign, name, measured.envelope)
+        self.published(campaign, name, measured.envelope)
 
     async def _give_up(self, campaign: str, name: str, names: list[str], exc: LabdaemonError) -> None:
         told = {"device": "worker", "capture": name, "error": type(exc).__name__, "message": str(exc), "action": "kept"}

@@ -154,7 +154,7 @@ class _Daemon:
     async def _run_parts(
         self, engine: Engine, publisher: EventPublisher, commands: CommandServer, recorder: Recorder
     ) -> int:
-        parts = [
+        parts: list[asyncio.Future[Any]] = [
             asyncio.create_task(supervise("events", publisher.run, self.clock)),
             asyncio.create_task(supervise("commands", commands.run, self.clock)),
             asyncio.create_task(engine.run()),
@@ -163,9 +163,10 @@ class _Daemon:
         self.ready(commands.address, publisher.address)
         notify(f"READY=1\nSTATUS=serving on {commands.address}")
         try:
-            done, _ = await asyncio.wait({*parts, self.exit_status}, return_when=asyncio.FIRST_COMPLETED)
-            for part in done - {self.exit_status}:
-                part.result()
+            await asyncio.wait([*parts, self.exit_status], return_when=asyncio.FIRST_COMPLETED)
+            for part in parts:
+                if part.done():
+                    part.result()
             return self.exit_status.result() if self.exit_status.done() else 1
         finally:
             for part in parts:
@@ -192,7 +193,6 @@ class _Daemon:
             self.clock,
             self.data,
             depth=2 * pool.workers,
-            published=lambda campaign, name, rows: engine.on_published(campaign, name, rows),
         )
         engine = Engine(
             lab,

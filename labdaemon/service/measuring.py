@@ -12,8 +12,9 @@ from labdaemon.journal.storage import as_data_error
 from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, csv_text, write_csv
 
-SHARP_SETS_KEPT = 2
-"""Prepared sharp sets in memory: the one in use, and the one before it while its last captures are measured."""
+SHARP_SETS_KEPT = 4
+"""Prepared sharp sets in memory: the one in use, the one before it while its last captures are measured, and the first
+one of each campaign, whose names the others keep."""
 
 
 class PoolMeasurer:
@@ -59,13 +60,23 @@ class PoolMeasurer:
         task = self._prepared.get(key)
         if task is None or (task.done() and (task.cancelled() or task.exception() is not None)):
             while len(self._prepared) >= SHARP_SETS_KEPT:
-                self._prepared.pop(next(iter(self._prepared)))
+                del self._prepared[next(iter(self._prepared))]
             task = asyncio.create_task(self._prepare(folder, sharp))
             self._prepared[key] = task
         return await asyncio.shield(task)
 
     async def _prepare(self, folder: Path, sharp: str | None) -> SharpSet:
-        return await asyncio.wrap_future(self._pool.submit(prepare_sharp, folder, sharp))
+        first = await asyncio.to_thread(_first_set, folder)
+        like = await self._sharp_set(folder, first) if sharp != first else None
+        return await asyncio.wrap_future(self._pool.submit(prepare_sharp, folder, sharp, like=like))
+
+
+def _first_set(folder: Path) -> str | None:
+    """The set whose names for the targets all others keep: the flat one where there is one, else the first by name."""
+    root = folder / "sharp"
+    if not root.is_dir() or any(path.is_file() for path in root.iterdir()):
+        return None
+    return min((path.name for path in root.iterdir()), default=None)
 
 
 def _write(folder: Path, envelope: list[Row], measurements: list[Row]) -> None:
