@@ -82,9 +82,8 @@ def test_a_part_cycle_moves_the_mean() -> None:
 
 
 def test_paper_grain_moves_with_the_paper_and_has_its_size() -> None:
-    scene = Scene(
-        (Target("A", (0.0, 0.0, 0.0), 8.0, (60.0, 52.0)),), texture=0.02, texture_length_mm=1.5, gradient=(0, 0)
-    )
+    label = Target("A", (0.0, 0.0, 0.0), 8.0, (60.0, 52.0))
+    scene = Scene((label,), texture=0.02, texture_length_mm=1.5, gradient=(0.0, 0.0), vignetting=0.0)
     lens = Optics("gaussian", sigma_px=0.3)
     options = {"optics": lens, "sensor": PLAIN, "white_dn": 1000.0}
     shift_mm = 4.0 / 1968.8 * 1000.0
