@@ -56,8 +56,10 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     lengths = [float(np.linalg.norm(major)) for _, (major, _) in moving]
     drawn = np.vstack(orbits)
     low, high = drawn.min(axis=0), drawn.max(axis=0)
+    room = 0.06 * float((high - low).max())  # so that a view from the side is no sliver
+    low, high = low - np.array([room, room, 0.0]), high + np.array([room, room, 0.0])
     spans = np.maximum(high - low, 1.0)
-    views = [(0, "x")] + ([(1, "y")] if spans[1] > 0.05 * spans[0] else [])
+    views = [(0, "x")] + ([(1, "y")] if spans[1] - 2 * room > 0.05 * spans[0] else [])
     margin, gap = 46.0, 62.0
     scale = (height - 2 * margin) / max(float(spans[2]), 0.35 * float(max(spans[axis] for axis, _ in views)))
     parts: list[str] = []
@@ -68,8 +70,8 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
         for (row, _), centre, orbit, length in zip(moving, centres, orbits, lengths, strict=True):
             parts += view.target(row, centre, orbit, length, max(lengths))
         left += float(spans[axis]) * scale + gap
-    width = left - gap + 110
-    parts += _legend(width - 78, margin, max(lengths), scale)
+    width = left - gap + 140
+    parts += _legend(width - 108, margin, max(lengths), scale)
     drawn_height = float(spans[2]) * scale + 2 * margin
     return (
         f'<svg viewBox="0 0 {width:.0f} {drawn_height:.0f}" width="{width:.0f}" role="img" '
@@ -106,7 +108,7 @@ class _View:
             f'<rect x="{self.left - 8:.1f}" y="{self.top - 8:.1f}" width="{self.right - self.left + 16:.1f}" '
             f'height="{self.bottom - self.top + 16:.1f}" fill="none" stroke="var(--grid)"/>'
         ]
-        for value in _ticks(self.low[0], self.high[0], (self.right - self.left) / 60):
+        for value in _ticks(self.low[0], self.high[0], (self.right - self.left) / 80):
             x = self.left + (value - self.low[0]) * self.scale
             parts.append(
                 f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{self.top - 8:.1f}" y2="{self.bottom + 8:.1f}" '

@@ -83,7 +83,8 @@ class RigConfig(Section):
     @property
     def digest(self) -> str:
         """SHA-256 of what results and safety depend on; addresses, folders and worker counts may change freely."""
-        parts = self.model_dump(mode="json", exclude={"service", "processing", "source"})
+        aside: Any = {"service": True, "source": True, "processing": {"workers", "deadline_s"}}
+        parts = self.model_dump(mode="json", exclude=aside)
         control = self.path(self.control.file)
         parts["control_csv"] = hashlib.sha256(control.read_bytes()).hexdigest() if control.exists() else None
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

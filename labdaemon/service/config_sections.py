@@ -167,6 +167,8 @@ class ControlSection(Section):
 class ProcessingSection(Section):
     """How frames are measured."""
 
+    method: Literal["fit", "paper"] = "fit"
+    """The closed-form fit, or the published method to compare with."""
     workers: Annotated[int, Field(ge=0, le=256, strict=True)] = 0
     """Worker processes; 0 for one a core."""
     deadline_s: Seconds = 120.0

@@ -1,0 +1,109 @@
+"""The page of a data-set folder: gathers what its results and capture files say."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from labdaemon.errors import DataError
+from labdaemon.processing.tables import Row, read_csv
+from labdaemon.report.accuracy import Accuracy, compare
+from labdaemon.report.html import CaptureResult, write_page
+
+Truth = Mapping[str, Sequence[Mapping[str, Any]]]
+"""Rows of truth by capture, as `labdaemon.report.accuracy.compare` takes them."""
+
+
+def envelopes(results: Path) -> dict[str, list[Row]]:
+    """Rows of `envelope.csv` by capture, in the order of the file.
+
+    Raises
+    ------
+    DataError
+        There are no results.
+    """
+    path = results / "envelope.csv"
+    if not path.is_file():
+        raise DataError("is not there; run `labdaemon process` on the folder first", file=path)
+    captures: dict[str, list[Row]] = {}
+    for row in read_csv(path):
+        captures.setdefault(str(row["capture"]), []).append(row)
+    return captures
+
+
+def report_folder(
+    folder: Path, *, title: str, subtitle: str = "", truth: Truth | None = None, results: Path | None = None
+) -> tuple[Path, list[Accuracy]]:
+    """Write the page of a data-set folder.
+
+    Parameters
+    ----------
+    folder
+        The data-set folder.
+    title, subtitle
+        Plain text.
+    truth
+        What really happened, by capture or group; None where nobody knows.
+    results
+        Where the result files are; FOLDER/results by default.
+
+    Returns
+    -------
+    page : Path
+        ``index.html`` in the results.
+    accuracy : list of Accuracy
+        One for each capture whose truth is known.
+
+    Raises
+    ------
+    DataError
+        There are no results, or the page cannot be written.
+    """
+    results = results or folder / "results"
+    facts = _facts(folder)
+    shown = [
+        CaptureResult(
+            name,
+            rows,
+            facts.get(name, {}),
+            _overlays(results, name, facts),
+            compare(name, rows, truth[name]) if truth and name in truth else None,
+        )
+        for name, rows in envelopes(results).items()
+    ]
+    page = results / "index.html"
+    try:
+        write_page(page, title, subtitle, shown)
+    except OSError as exc:
+        raise DataError(f"cannot be written: {exc.strerror}", file=page) from exc
+    return page, [one.accuracy for one in shown if one.accuracy is not None]
+
+
+def _facts(folder: Path) -> dict[str, dict[str, str]]:
+    """What the capture files say, by capture and by group."""
+    facts: dict[str, dict[str, str]] = {}
+    for path in sorted(folder.glob("captures/*/capture.toml")):
+        about = tomllib.loads(path.read_text(encoding="utf-8"))
+        told = {}
+        if "frequency_hz" in about:
+            told["excitation"] = f"{about['frequency_hz']:g} Hz"
+        if "excitation_amplitude_mm" in about:
+            told["table"] = f"{about['excitation_amplitude_mm']:g} mm"
+        if "exposure_s" in about:
+            told["exposure"] = f"{about['exposure_s']:.4g} s"
+        if "opened_at" in about:
+            told["opened"] = str(about["opened_at"])
+        facts[path.parent.name] = told
+        if about.get("group"):
+            facts[str(about["group"])] = told
+    return facts
+
+
+def _overlays(results: Path, name: str, facts: Mapping[str, Any]) -> list[str]:
+    """Overlay pictures of a capture: PNG files whose path below the results names it."""
+    found = [path.relative_to(results) for path in sorted(results.rglob("*.png"))]
+    longer = [other for other in facts if other != name and other.startswith(name)]
+    mine = [path for path in found if name in str(path) and not any(other in str(path) for other in longer)]
+    return [path.as_posix() for path in mine]
