@@ -39,6 +39,9 @@ class CaptureResult:
         Rows of the result files.
     notes
         What a person should know, one line each.
+    frames
+        Camera and file, relative to the folder, of the frames that a picture of the result may be drawn on (a group's
+        last capture).
     """
 
     name: str
@@ -46,6 +49,7 @@ class CaptureResult:
     measurement_rows: list[Row] = field(default_factory=list)
     envelope_rows: list[Row] = field(default_factory=list)
     notes: tuple[str, ...] = ()
+    frames: tuple[tuple[str, Path], ...] = ()
 
 
 def measure_in_folder(folder: DataFolder, sharp: SharpSet, captures: Sequence[str], camera: str) -> FrameResult:
@@ -82,14 +86,18 @@ def measure_capture(folder: Path, sharp: SharpSet, captures: tuple[str, ...], na
     """
     opened = open_folder(folder)
     frames = [measure_in_folder(opened, sharp, captures, camera.name) for camera in sharp.cameras]
-    return join_frames(sharp, frames, captures, name)
+    return join_frames(opened, sharp, frames, captures, name)
 
 
-def join_frames(sharp: SharpSet, frames: Sequence[FrameResult], captures: Sequence[str], name: str) -> CaptureResult:
+def join_frames(
+    folder: DataFolder, sharp: SharpSet, frames: Sequence[FrameResult], captures: Sequence[str], name: str
+) -> CaptureResult:
     """Join the cameras' measurements.
 
     Parameters
     ----------
+    folder
+        Where the frames lie.
     sharp
         The sharp set they were measured against.
     frames
@@ -109,7 +117,9 @@ def join_frames(sharp: SharpSet, frames: Sequence[FrameResult], captures: Sequen
         motion = joined.get(target)
         flags = _flags(sharp, by_target[target], motion, sure=bool(sure))
         envelope.append(envelope_row(name, target, motion, flags))
-    return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)))
+    files = folder.capture(captures[-1]).frames
+    drawn = tuple((camera, file.relative_to(folder.root)) for camera, file in files.items())
+    return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)), drawn)
 
 
 def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str, ObjectMotion]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -83,7 +84,7 @@ def process_folder(
     folder: Path,
     out: Path | None = None,
     *,
-    workers: int = 0,
+    pool: WorkerPool | None = None,
     method: str | None = None,
     progress: Progress | None = None,
 ) -> FolderResult:
@@ -95,8 +96,8 @@ def process_folder(
         The data-set folder; only `out` is written to.
     out
         Where to, FOLDER/results if None.
-    workers
-        Worker processes, 0 for one a core.
+    pool
+        Worker processes to use; a pool of its own, one process a core, if None.
     method
         "fit" or "paper"; the rig file's if None.
     progress
@@ -114,9 +115,9 @@ def process_folder(
         opened = DataFolder(opened.root, rig, opened.control, opened.targets)
     todo = jobs(opened)
     tell = progress or (lambda _what, _done, _of: None)
-    with WorkerPool(workers) as pool:
-        sets = _prepare(opened, todo, pool, tell)
-        results = _measure(opened, todo, sets, pool, tell)
+    with contextlib.nullcontext(pool) if pool is not None else WorkerPool() as workers:
+        sets = _prepare(opened, todo, workers, tell)
+        results = _measure(opened, todo, sets, workers, tell)
     target = out if out is not None else folder / "results"
     rows = [row for result in results for row in result.measurement_rows]
     write_csv(target / "measurements.csv", MEASUREMENT_COLUMNS, rows)
@@ -149,7 +150,7 @@ def _measure(
     ]
     _wait([task for one in tasks for task in one], "blurred frames", tell)
     return [
-        join_frames(sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name)
+        join_frames(folder, sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name)
         for job, one in zip(todo, tasks, strict=True)
     ]
 

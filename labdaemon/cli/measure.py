@@ -1,0 +1,126 @@
+"""`labdaemon measure`: sharp and blurred frames, motion in pixels, no geometry."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from labdaemon.blur.motion import Window
+from labdaemon.cli.parts import Parts
+from labdaemon.errors import UsageError
+from labdaemon.processing.frame import measure_frames
+from labdaemon.processing.naming import names_in_picture
+from labdaemon.processing.prepare import PreparedCamera, prepare_camera, prepare_patches
+from labdaemon.processing.tables import MEASUREMENT_COLUMNS, Row, csv_text, measurement_row, write_csv
+from labdaemon.report.overlay import overlay_path, write_overlay
+
+Box = tuple[int, int, int, int]
+
+
+class PatchBox(click.ParamType):
+    """X,Y,W,H in whole pixels."""
+
+    name = "X,Y,W,H"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
+        """Read four numbers."""
+        if isinstance(value, tuple):
+            return value
+        match = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*", str(value))
+        if match is None or "0" in match.groups()[2:]:
+            self.fail(f"{value!r} is not X,Y,W,H in whole pixels, as 120,80,40,40", param, ctx)
+        return tuple(int(number) for number in match.groups())
+
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@click.command()
+@click.argument("blurred", nargs=-1, required=True, type=_FILE)
+@click.option("--sharp", multiple=True, required=True, type=_FILE, help="Sharp frame; several are averaged.")
+@click.option("--patch", "patches", multiple=True, type=PatchBox(), help="Measure this part, whatever it shows.")
+@click.option("--out", type=_FILE, help="CSV file to write; standard output if not given.")
+@click.option("--method", type=click.Choice(["fit", "paper"]), default="fit", show_default=True)
+@click.option("--frequency", type=click.FloatRange(min=0, min_open=True), help="Of the excitation, hertz.")
+@click.option("--exposure", type=click.FloatRange(min=0, min_open=True), help="True exposure time, seconds.")
+@click.option("--phase", type=float, help="Excitation phase at the opening, radians.")
+@click.option("--overlay", type=click.Path(file_okay=False, path_type=Path), help="Folder for pictures with vectors.")
+def measure(
+    blurred: tuple[Path, ...],
+    sharp: tuple[Path, ...],
+    patches: tuple[Box, ...],
+    out: Path | None,
+    method: str,
+    frequency: float | None,
+    exposure: float | None,
+    phase: float | None,
+    overlay: Path | None,
+) -> None:
+    """Measure every dot of the sharp frame (or each --patch of it) in the BLURRED frames, in pixels."""
+    window = _window(frequency, exposure, phase)
+    stems = Counter(path.stem for path in blurred)
+    twice = [stem for stem, times in stems.items() if times > 1]
+    if twice:
+        raise UsageError(f"two blurred frames are called {twice[0]}; rename one, their names go into the results")
+    console = Console(stderr=True)
+    with Parts(console) as parts:
+        parts("sharp frames", 0, 1)
+        camera = prepare_patches(sharp, patches) if patches else _dots(sharp)
+        parts("sharp frames", 1, 1)
+        rows: list[Row] = []
+        for done, path in enumerate(blurred, start=1):
+            result = measure_frames(camera, [path], [window], method=method)
+            mine = [measurement_row(path.stem, "", one) for one in result.measurements]
+            rows += mine
+            if overlay is not None:
+                write_overlay(path, mine, overlay_path(overlay, path.stem, ""), path.stem)
+            parts("blurred frames", done, len(blurred))
+    if out is None:
+        click.echo(csv_text(MEASUREMENT_COLUMNS, rows), nl=False)
+    else:
+        write_csv(out, MEASUREMENT_COLUMNS, rows)
+    _summary(rows, console, out)
+
+
+def _window(frequency: float | None, exposure: float | None, phase: float | None) -> Window | None:
+    if frequency is None and exposure is None and phase is None:
+        return None
+    if frequency is None or exposure is None:
+        missing = "--frequency" if frequency is None else "--exposure"
+        raise UsageError(f"{missing} is missing: an exposure is known by frequency and exposure time together")
+    return Window(frequency, exposure, phase)
+
+
+def _dots(sharp: tuple[Path, ...]) -> PreparedCamera:
+    camera = prepare_camera("", sharp)
+    names = names_in_picture(camera.centres_px)
+    order = sorted(range(len(names)), key=names.__getitem__)
+    return camera.renamed(order, [names[i] for i in order])
+
+
+def _summary(rows: list[Row], console: Console, out: Path | None) -> None:
+    """A line a frame."""
+    table = Table("frame", "targets", "clean", "flags", "semi-amplitude px", "median sd px", box=None, pad_edge=False)
+    for capture in dict.fromkeys(str(row["capture"]) for row in rows):
+        mine = [row for row in rows if row["capture"] == capture]
+        seen = [row for row in mine if isinstance(row["ax_px"], float)]
+        lengths = [np.hypot(float(str(row["ax_px"])), float(str(row["ay_px"]))) for row in seen]
+        sds = [np.hypot(float(str(row["sd_ax_px"])), float(str(row["sd_ay_px"]))) / np.sqrt(2) for row in seen]
+        flags = Counter(flag for row in mine if isinstance(row["flags"], list) for flag in row["flags"])
+        table.add_row(
+            capture,
+            str(len(mine)),
+            str(sum(not row["flags"] for row in mine)),
+            ", ".join(f"{count} {flag}" for flag, count in flags.items()),
+            f"{min(lengths):.2f} – {max(lengths):.2f}" if lengths else "none",
+            f"{np.median(sds):.3f}" if sds else "",
+        )
+    console.print(table)
+    if out is not None:
+        console.print(f"results in {out}", highlight=False, soft_wrap=True)

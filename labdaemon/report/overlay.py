@@ -1,0 +1,199 @@
+"""A frame with its vectors drawn over it, magnified, as Fig. 10 of McCarthy, Chandler and Palmeri (2016)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labdaemon.errors import DataError
+from labdaemon.imaging.frame import Grey
+from labdaemon.imaging.raw import read_frame
+from labdaemon.processing.run import FolderResult
+from labdaemon.processing.tables import Row
+
+MAGNIFICATION = 20.0
+WIDEST_PX = 1800
+"""A picture for the screen; the vectors' places scale with it."""
+
+Colour = tuple[int, int, int]
+Image = NDArray[np.uint8]
+
+# Colours that differ in lightness too, so that a grey print still tells them apart (blue, green, red).
+CLEAN: Colour = (60, 220, 90)
+FLAGGED: Colour = (40, 170, 255)
+RESTING: Colour = (230, 190, 70)
+LOST: Colour = (60, 60, 255)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def draw_overlay(
+    grey: Grey, rows: Sequence[Row], *, title: str, lengths_mm: Mapping[str, float] | None = None
+) -> Image:
+    """Draw the measurements of one frame over it.
+
+    Parameters
+    ----------
+    grey
+        (h, w) the blurred frame, 0 to 1, linear.
+    rows
+        Its rows of `measurements.csv`.
+    title
+        Written along the top.
+    lengths_mm
+        Amplitude of each target in millimetres, written beside it where known, else pixels.
+
+    Returns
+    -------
+    array
+        (h', w', 3) 8-bit picture, blue, green, red.
+    """
+    scale = min(1.0, WIDEST_PX / max(grey.shape))
+    picture = _backdrop(grey, scale)
+    unit = max(picture.shape[:2]) / 1000
+    for row in rows:
+        centre = _pair(row, "x_px", "y_px")
+        if centre is None:
+            continue
+        flags = cast(list[str], row["flags"])
+        colour = RESTING if flags == ["at_rest"] else FLAGGED if flags else CLEAN
+        a, b = _pair(row, "ax_px", "ay_px"), _pair(row, "bx_px", "by_px")
+        at = (centre + 0.5) * scale - 0.5
+        if a is None:
+            cv2.drawMarker(picture, _point(at), LOST, cv2.MARKER_TILTED_CROSS, round(14 * unit), _thick(unit))
+            continue
+        b = np.zeros(2) if b is None else b
+        _draw_motion(picture, at, a * scale * MAGNIFICATION, b * scale * MAGNIFICATION, colour, unit)
+        target = str(row["target"])
+        length = None if lengths_mm is None else lengths_mm.get(target)
+        text = f"{target} {math.hypot(*a):.2f} px" if length is None else f"{target} {length:.2f}"
+        _write(picture, text, at + np.array([6, 16]) * unit, 0.42 * unit)
+    _caption(picture, title, rows, unit, has_mm=lengths_mm is not None)
+    return picture
+
+
+def write_overlay(
+    frame: Path, rows: Sequence[Row], out: Path, title: str, lengths_mm: Mapping[str, float] | None = None
+) -> None:
+    """Draw a frame's measurements and write the picture as PNG; one task for a worker.
+
+    Raises
+    ------
+    DataError
+        The frame cannot be read or the picture not written.
+    """
+    picture = draw_overlay(read_frame(frame).grey(), rows, title=title, lengths_mm=lengths_mm)
+    ok, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    temporary = out.with_name(f".{out.name}.tmp")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if ok:
+            temporary.write_bytes(data.tobytes())
+            temporary.replace(out)
+    except OSError as exc:
+        raise DataError(f"cannot be written: {exc.strerror}", file=out) from exc
+
+
+def overlay_path(out: Path, capture: str, camera: str) -> Path:
+    """Where the picture of a capture (or group) and camera lies in a results folder."""
+    return out / "overlay" / (f"{capture}-{camera}.png" if camera else f"{capture}.png")
+
+
+def write_overlays(folder: Path, result: FolderResult, submit: Callable[..., Future[None]]) -> list[Future[None]]:
+    """Start drawing every capture of a processed folder, a picture a camera.
+
+    Parameters
+    ----------
+    folder
+        The data-set folder.
+    result
+        From `process_folder`.
+    submit
+        Runs a function with its arguments, as `WorkerPool.submit`.
+    """
+    tasks = []
+    for capture in result.captures:
+        lengths = {str(row["target"]): length for row in capture.envelope_rows if (length := _length_mm(row)) is not None}
+        for camera, frame in capture.frames:
+            rows = [row for row in capture.measurement_rows if row["camera"] == camera]
+            title = f"{capture.name}  {camera}"
+            out = overlay_path(result.out, capture.name, camera)
+            tasks.append(submit(write_overlay, folder / frame, rows, out, title, lengths))
+    return tasks
+
+
+def _length_mm(row: Row) -> float | None:
+    """Major semi-axis of an envelope row's orbit."""
+    values = [row[f"{axis}{k}_mm"] for axis in "ab" for k in "xyz"]
+    if any(not isinstance(value, float) for value in values):
+        return None
+    a, b = np.array(values[:3], dtype=float), np.array(values[3:], dtype=float)
+    return float(np.linalg.svd(np.stack([a, b]), compute_uv=False)[0])
+
+
+def _backdrop(grey: Grey, scale: float) -> Image:
+    """The frame as one would see it: brightest paper white, tone curve of a screen, a little dimmed."""
+    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale < 1 else grey
+    white = max(float(np.percentile(small, 99.5)), 1e-6)
+    tone = np.clip(small / white, 0.0, 1.0) ** (1 / 2.2)
+    return cast(Image, cv2.cvtColor((tone * 200).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+
+
+def _pair(row: Row, x: str, y: str) -> NDArray[np.float64] | None:
+    values = row[x], row[y]
+    return np.array(values, dtype=float) if all(isinstance(value, float) for value in values) else None
+
+
+def _draw_motion(
+    picture: Image, at: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64], colour: Colour, unit: float
+) -> None:
+    if math.hypot(*b) > 2 * unit:
+        phase = np.linspace(0, 2 * np.pi, 73)
+        path = at + np.outer(np.sin(phase), a) + np.outer(np.cos(phase), b)
+        for width, ink in ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour)):
+            cv2.polylines(picture, [np.rint(path).astype(np.int32)], True, ink, width, cv2.LINE_AA)
+    tip = min(0.3, 9 * unit / max(math.hypot(*a), 1e-9))
+    for width, ink in ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour)):
+        for end in (at + a, at - a):
+            cv2.arrowedLine(picture, _point(at), _point(end), ink, width, cv2.LINE_AA, 0, tip)
+    cv2.circle(picture, _point(at), max(2, round(2.2 * unit)), colour, -1, cv2.LINE_AA)
+
+
+def _point(at: NDArray[np.float64]) -> tuple[int, int]:
+    limit = 30_000  # OpenCV takes no more
+    return int(np.clip(round(float(at[0])), -limit, limit)), int(np.clip(round(float(at[1])), -limit, limit))
+
+
+def _thick(unit: float) -> int:
+    return max(1, round(1.4 * unit))
+
+
+def _write(picture: Image, text: str, at: NDArray[np.float64], size: float, colour: Colour = (255, 255, 255)) -> None:
+    for width, ink in ((3, (0, 0, 0)), (1, colour)):
+        cv2.putText(picture, text, _point(at), _FONT, max(size, 0.35), ink, width, cv2.LINE_AA)
+
+
+def _caption(picture: Image, title: str, rows: Sequence[Row], unit: float, *, has_mm: bool) -> None:
+    """Title and legend on a band of their own along the top."""
+    band = round(46 * unit)
+    picture[:band] = picture[:band] // 4
+    amplitude = "semi-amplitude in mm" if has_mm else "semi-amplitude in px"
+    _write(picture, f"{title}   vectors x {MAGNIFICATION:.0f}, {amplitude}", np.array([10, 18]) * unit, 0.55 * unit)
+    x = 10.0
+    lost = sum(row["x_px"] is None for row in rows)
+    for text, colour in (
+        ("clean", CLEAN),
+        ("at rest", RESTING),
+        ("flagged", FLAGGED),
+        (f"{lost} not measured", LOST),
+    ):
+        _write(picture, text, np.array([x, 38]) * unit, 0.5 * unit, colour)
+        x += 22 + 10.0 * len(text)
+
