@@ -62,11 +62,12 @@ class Firing:
     Attributes
     ----------
     opened_at
-        UTC of the opening (host clock, for records).
+        UTC of the opening (host clock, for records): the mean of the cameras'.
     opening_s
-        Opening time of each camera after the release, seconds, by camera name; empty if not measured.
+        Opening time of each camera after the release, seconds, by camera name; without those not measured.
     phase_rad
-        Excitation phase ωt at the opening, None if the device does not see the excitation's sync.
+        Excitation phase ωt at the mean of `opening_s`, None if the device does not see the excitation's sync. A
+        camera's own is ``phase_rad + ω (opening_s[camera] - mean)``.
     sd_phase_rad
         Its standard deviation.
     """
@@ -98,12 +99,19 @@ class Trigger(Protocol):
         """Wait for a release that an outside system caused; None when none came in time."""
         ...
 
+    def raise_enable(self) -> None:
+        """Raise the shaker's enable line. The caller has just seen the shaker's output off: a table must not jump."""
+        ...
+
     def heartbeat(self) -> None:
-        """Keep the shaker's enable line up for another second or so. Without it the line drops by itself."""
+        """Keep the shaker's enable line up for another second or so. Without it the line drops by itself.
+
+        Never raises a line that is down; a `DeviceRefused` says that it is.
+        """
         ...
 
     def drop_enable(self) -> None:
-        """Drop the enable line now."""
+        """Drop the enable line now; only `raise_enable` brings it back."""
         ...
 
     def close(self) -> None:

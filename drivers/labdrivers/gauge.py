@@ -1,0 +1,246 @@
+"""A displacement or acceleration gauge that streams readings: the driver of the group ``labdaemon.gauges``.
+
+A thread of its own reads all the time, so that a reading is never older than the record it belongs to. Amplitude is a
+least-squares sine fit over the latest record. A gauge that fell silent, repeats itself, is out of range or sends at
+another rate than told is an error, never a number.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from labdaemon.capture.devices import GaugeReading
+from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdrivers.gauge_stream import LineParser, Parser, RecordParser
+from labdrivers.serial_line import PortSettings, SerialLine
+from labdrivers.settings import read_settings
+from labdrivers.sine_fit import FloatArray, change_per_cycle, fit_sine
+
+KEEP_S = 60.0
+FIRST_READING_S = 2.0
+STUCK_READINGS = 100
+RATE_TOLERANCE = 0.05
+MOST_BAD = 0.02
+"""Share of a record that may be without a number."""
+
+
+class GaugeSettings(PortSettings):
+    """One ``[[gauge]]`` of the rig file."""
+
+    role: Literal["table", "response"] = "table"
+    unit: str = "mm"
+    rate_hz: float = Field(default=500.0, gt=0)
+    format: Literal["line", "binary"] = "line"
+    column: int = Field(default=0, ge=0)
+    separator: str = ","
+    marker: str = "a55a"
+    """Binary: first bytes of a record, hexadecimal."""
+    record: str = "<i"
+    """Binary: `struct` format of the value."""
+    checksum: bool = True
+    """Binary: a byte with the sum of the value's bytes follows."""
+    scale: float = 1.0
+    """Reading × scale is the value in `unit`."""
+    stale_s: float = Field(default=0.5, gt=0)
+    """A gauge silent for longer is an error."""
+
+    @field_validator("marker")
+    @classmethod
+    def _hexadecimal(cls, marker: str) -> str:
+        if not bytes.fromhex(marker):
+            raise ValueError("a marker of at least one byte is needed, in hexadecimal")
+        return marker
+
+    @field_validator("record")
+    @classmethod
+    def _one_value(cls, record: str) -> str:
+        try:
+            count = len(struct.unpack(record, bytes(struct.calcsize(record))))
+        except struct.error as exc:
+            raise ValueError(f"no struct format: {exc}") from None
+        if count != 1:
+            raise ValueError("a format of exactly one value is needed")
+        return record
+
+
+class LineGauge:
+    """One gauge.
+
+    Parameters
+    ----------
+    name
+        Its name in the rig file.
+    settings
+        Its section.
+    """
+
+    SETTINGS: ClassVar[frozenset[str]] = frozenset(GaugeSettings.model_fields)
+
+    def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
+        self.name = name
+        self._settings = read_settings(GaugeSettings, settings, key=name, ignore=frozenset({"driver", "name"}))
+        self.unit: str = self._settings.unit
+        self.role: str = self._settings.role
+        self._line = SerialLine(name, self._settings)
+        self._news = threading.Condition()
+        self._values: deque[float] = deque(maxlen=int(KEEP_S * self._settings.rate_hz))
+        self._total = 0
+        self._first_at = self._last_at = 0.0
+        self._fault: DeviceError | None = None
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def connect(self) -> str:
+        """Open the stream and wait for its first readings.
+
+        Raises
+        ------
+        TransportError
+            The port does not open, or nothing comes.
+        ProtocolError
+            What comes are no readings.
+        """
+        self.close()
+        self._line.open()
+        self._values.clear()
+        self._total, self._fault = 0, None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._listen, args=(self._closing,), name=self.name, daemon=True)
+        self._thread.start()
+        deadline = time.monotonic() + FIRST_READING_S
+        try:
+            with self._news:
+                while self._total < 10:
+                    self._raise_fault()
+                    left = deadline - time.monotonic()
+                    if left <= 0:
+                        raise TransportError(
+                            f"sends no readings on {self._settings.port}; check power, cable and baud rate",
+                            device=self.name,
+                        )
+                    self._news.wait(left)
+                if np.isnan(list(self._values)).all():
+                    raise ProtocolError("sends lines without numbers; check format and baud rate", device=self.name)
+        except DeviceError:
+            self.close()
+            raise
+        return f"{self._settings.format} gauge on {self._settings.port}, {self._settings.rate_hz:g} readings/s"
+
+    def read(self, frequency_hz: float, *, duration_s: float) -> GaugeReading:
+        """Amplitude over the latest `duration_s` seconds; waits for that much data if need be.
+
+        Parameters
+        ----------
+        frequency_hz
+            Of the sine to look for.
+        duration_s
+            At least one cycle.
+
+        Raises
+        ------
+        TransportError
+            The gauge fell silent or its connection broke.
+        ProtocolError
+            Rubbish, or another rate than `rate_hz`.
+        DeviceRefused
+            Out of range, or stuck on one reading.
+        """
+        count = round(duration_s * self._settings.rate_hz)
+        if frequency_hz <= 0 or duration_s * frequency_hz < 1 or count < 8 or duration_s > KEEP_S:
+            raise UsageError(f"{duration_s} s of {frequency_hz} Hz is no record to fit a sine to")
+        y = self._record(count) * self._settings.scale
+        t = np.arange(y.size) / self._settings.rate_hz
+        usable = np.isfinite(y)
+        self._judge(y, usable)
+        sine = fit_sine(t[usable], y[usable], frequency_hz)
+        change = change_per_cycle(t[usable], y[usable], frequency_hz)
+        return GaugeReading(sine.amplitude, sine.sd, sine.phase_rad, change)
+
+    def close(self) -> None:
+        """Stop reading and give the wire back."""
+        self._closing.set()
+        thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(2.0)
+        self._line.close()
+
+    def _listen(self, closing: threading.Event) -> None:
+        parser = self._parser()
+        while not closing.is_set():
+            try:
+                values = parser.feed(self._line.read_block(4096))
+            except DeviceError as exc:
+                with self._news:
+                    if not closing.is_set():
+                        self._fault = exc
+                    self._news.notify_all()
+                return
+            if not values:
+                continue
+            now = time.monotonic()
+            with self._news:
+                if self._total == 0:
+                    self._first_at = now
+                self._values.extend(values)
+                self._total += len(values)
+                self._last_at = now
+                self._news.notify_all()
+
+    def _parser(self) -> Parser:
+        s = self._settings
+        if s.format == "line":
+            return LineParser(column=s.column, separator=s.separator)
+        return RecordParser(marker=bytes.fromhex(s.marker), form=s.record, checksum=s.checksum)
+
+    def _record(self, count: int) -> FloatArray:
+        """Latest `count` readings, waited for."""
+        deadline = time.monotonic() + 1.5 * count / self._settings.rate_hz + 1.0
+        with self._news:
+            while True:
+                if self._thread is None:
+                    raise TransportError("not connected; connect first", device=self.name)
+                self._raise_fault()
+                now = time.monotonic()
+                if now - self._last_at > self._settings.stale_s or now > deadline:
+                    raise TransportError(
+                        f"sends no readings since {now - self._last_at:.1f} s; check its power and cable",
+                        device=self.name,
+                    )
+                if len(self._values) >= count:
+                    break
+                self._news.wait(0.05)
+            self._check_rate()
+            return np.array(self._values)[-count:]
+
+    def _check_rate(self) -> None:
+        lasted = self._last_at - self._first_at
+        if lasted < 1.0:
+            return
+        rate_hz = self._total / lasted
+        if abs(rate_hz / self._settings.rate_hz - 1) > RATE_TOLERANCE + 0.05 / lasted:
+            raise ProtocolError(
+                f"sends {rate_hz:.0f} readings/s, not {self._settings.rate_hz:g}; set rate_hz to what it does",
+                device=self.name,
+            )
+
+    def _judge(self, y: FloatArray, usable: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
+        bad = 1 - float(usable.mean())
+        if bad > MOST_BAD:
+            raise DeviceRefused(
+                f"{bad:.0%} of its record is no number: target out of range, or wrong format", device=self.name
+            )
+        values = y[usable]
+        if values.size >= STUCK_READINGS and np.all(values == values[0]):
+            raise DeviceRefused(f"stuck at {values[0]:g} {self.unit}; check its target and cable", device=self.name)
+
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            raise self._fault

@@ -1,0 +1,338 @@
+"""A shaker table behind a function generator or vibration controller that speaks SCPI.
+
+The driver trusts nothing that it has not read back: a set-point counts when the controller reports it and its error
+queue is empty, rest counts when the output says that it is off. It ramps, never jumps, and checks the table's limits
+itself, whatever the caller checked before.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from labdaemon.campaign.limits import ShakerLimits, crossed_amplitude, crossed_frequency
+from labdaemon.capture.devices import ShakerState
+from labdaemon.errors import ConfigError, DeviceError, DeviceRefused, LimitError, ProtocolError, TransportError
+from labdrivers.drive_table import DrivePoint, DriveTable, read_drive_csv
+from labdrivers.scpi_commands import DIALECTS, LEVELS, Commands
+from labdrivers.scpi_link import ScpiLink
+from labdrivers.serial_line import PortSettings, SerialLine
+from labdrivers.settings import read_settings
+
+RAMP_TICK_S = 0.05
+STOP_TRIES = 3
+TRIM_RANGE = (0.25, 4.0)
+"""A table that moves less or more than this times its calibration is broken, not off."""
+
+
+class ShakerSettings(PortSettings):
+    """``[shaker]`` of the rig file."""
+
+    dialect: Literal["keysight", "33120a"] = "keysight"
+    commands: dict[str, Any] = Field(default_factory=dict)
+    """Overrides of the dialect, see `Commands`."""
+    limits: ShakerLimits
+    drive: tuple[DrivePoint, ...] = ()
+    """Calibration, needed when levels are volts; a controller that takes millimetres or g does its own."""
+    calibration: Path | None = None
+    """The same as a CSV file (``frequency_hz,mm_per_v``); it wins over `drive`."""
+    ramp_mm_s: float = Field(default=4.0, gt=0)
+    """Change of amplitude while ramping."""
+    glide_ratio: float = Field(default=1.1, ge=1.0)
+    """A frequency that changes by no more than this factor is changed in motion; by more, at rest."""
+    lowest_level_v: float = Field(default=0.01, gt=0)
+    """Smallest level (zero to peak) the generator takes: where ramps begin and end."""
+    lowest_mm: float = Field(default=0.005, gt=0)
+    """The same for a controller whose levels are not volts."""
+    highest_level_v: float = Field(default=10.0, gt=0)
+    readback_tolerance: float = Field(default=2e-3, gt=0, lt=0.1)
+    enable_line: bool = False
+    """The amplifier's enable is held by the trigger box. Needed where the generator cannot switch its output off."""
+
+
+class ScpiShaker:
+    """Driver of the group ``labdaemon.shakers``.
+
+    Parameters
+    ----------
+    name
+        Section's name in the rig file.
+    settings
+        The section.
+
+    Raises
+    ------
+    ConfigError
+        A key is wrong, or the controller cannot switch off and there is no enable line.
+    """
+
+    SETTINGS: ClassVar[frozenset[str]] = frozenset(ShakerSettings.model_fields)
+
+    def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
+        self.name = name
+        self._settings = read_settings(ShakerSettings, settings, key=name, ignore=frozenset({"driver"}))
+        base = DIALECTS[self._settings.dialect].model_dump()
+        self._commands = read_settings(Commands, {**base, **self._settings.commands}, key=f"{name}.commands")
+        if not self._commands.can_switch_off and not self._settings.enable_line:
+            raise ConfigError(
+                "this controller has no output-off, so it may not run unattended without the amplifier's enable line; "
+                "wire it to the trigger box and set enable_line = true",
+                key=f"{name}.enable_line",
+            )
+        self._table = self._read_table() if self._commands.in_volts else None
+        self._line = SerialLine(name, self._settings)
+        self._link = ScpiLink(self._line, self._commands)
+        self._trim, self._trim_at_hz = 1.0, 0.0
+        self._halt = threading.Event()
+
+    def _read_table(self) -> DriveTable:
+        file = self._settings.calibration
+        points = self._settings.drive if file is None else read_drive_csv(file)
+        if not points:
+            raise ConfigError(
+                "levels in volts need a calibration; add [[shaker.drive]] points or a calibration file",
+                key=f"{self.name}.drive",
+            )
+        return DriveTable(points, key=f"{self.name}.drive")
+
+    @property
+    def can_switch_off(self) -> bool:
+        """Whether `stop` ends with an output that is off rather than at its lowest level."""
+        return self._commands.can_switch_off
+
+    def connect(self) -> str:
+        """Open the wire and identify. Changes nothing on the controller: a moving table goes on moving."""
+        self._line.open()
+        try:
+            return self._link.identify()
+        except DeviceError:
+            self._line.close()
+            raise
+
+    def close(self) -> None:
+        """Give the wire back, whatever the table does."""
+        self._halt.set()
+        self._line.close()
+
+    def set(self, frequency_hz: float, amplitude_mm: float) -> None:
+        """Ramp to a sine (amplitude of the table, zero to peak) and confirm it.
+
+        Raises
+        ------
+        LimitError
+            Beyond the table, or outside its calibration. Nothing was sent.
+        DeviceRefused
+            The controller did not take it, or `stop`/`stop_now` came from another thread meanwhile.
+        TransportError, ProtocolError
+            The wire or the answers failed; the table may be moving: stop it.
+        """
+        self._check_limits(frequency_hz, amplitude_mm)
+        if abs(math.log(frequency_hz / (self._trim_at_hz or frequency_hz))) > math.log(1.02):
+            self._trim = 1.0
+        self._halt.clear()
+        now = self.state()
+        if now.running and math.isnan(now.amplitude_mm):
+            self._switch_off()  # running at a frequency without calibration: nobody knows how far
+            now = ShakerState(False, frequency_hz, 0.0)
+        if now.running and not self._near(now.frequency_hz, frequency_hz):
+            self._ramp(now, now.frequency_hz, self._lowest_mm(now.frequency_hz))
+            self._send_frequency(frequency_hz)
+            now = ShakerState(True, frequency_hz, self._lowest_mm(frequency_hz))
+        elif not now.running:
+            self._prepare(frequency_hz)
+            now = ShakerState(True, frequency_hz, self._lowest_mm(frequency_hz))
+            if self._commands.output_on:
+                with self._link.exclusive():  # a stop from another thread comes before this or switches off after it
+                    self._pass_gate()
+                    self._link.tell(self._commands.output_on)
+        self._ramp(now, frequency_hz, amplitude_mm)
+        self._confirm(frequency_hz, amplitude_mm)
+
+    def trim(self, factor: float) -> None:
+        """Correct the calibration at the present frequency: the table moves `factor` times what the drive table says.
+
+        Takes effect with the next `set` within 2 % of this frequency; another frequency forgets it. Corrections
+        multiply.
+
+        Raises
+        ------
+        DeviceRefused
+            The correction would leave what a sound table can need.
+        """
+        total = self._trim * factor
+        if not TRIM_RANGE[0] <= total <= TRIM_RANGE[1]:
+            raise DeviceRefused(
+                f"moves {total:.3g} times what its calibration says; check gauge, amplifier gain and drive table",
+                device=self.name,
+            )
+        self._trim, self._trim_at_hz = total, self.state().frequency_hz
+
+    def state(self) -> ShakerState:
+        """Ask the controller. The amplitude is NaN at a frequency outside the calibration."""
+        frequency_hz = self._link.ask_number(self._commands.get_frequency)
+        level = self._link.ask_number(self._commands.get_level)
+        if frequency_hz <= 0:
+            raise ProtocolError(f"reports a frequency of {frequency_hz:g} Hz", device=self.name)
+        if self._commands.get_output:
+            running = self._link.ask_switch(self._commands.get_output)
+        else:
+            running = level > self._lowest_level * 1.01
+        return ShakerState(running, frequency_hz, level / self._per_mm(frequency_hz))
+
+    def stop(self) -> None:
+        """Ramp to rest, switch off, confirm; whatever fails on the way, the output-off is still sent.
+
+        Raises
+        ------
+        DeviceError
+            Rest is not confirmed: use `stop_now` and drop the enable line.
+        """
+        self._halt.set()
+        try:
+            now = self.state()
+            if now.running and math.isfinite(now.amplitude_mm):
+                self._ramp(now, now.frequency_hz, self._lowest_mm(now.frequency_hz), heed_halt=False)
+        except DeviceError:
+            pass  # what matters is the output, and that is confirmed below
+        self._switch_off()
+
+    def stop_now(self) -> None:
+        """Output off at once, then confirm. Needs nothing but an open wire, and interrupts a `set` under way."""
+        self._halt.set()
+        self._link.tell_at_once(self._off_command)
+        self._switch_off()
+
+    @property
+    def _off_command(self) -> str:
+        return self._commands.output_off or self._level_command(self._lowest_level)
+
+    def _switch_off(self) -> None:
+        fault: DeviceError | None = None
+        for _ in range(STOP_TRIES):
+            try:
+                self._link.tell(self._off_command)
+                if not self._still_on():
+                    return
+                fault = DeviceRefused(
+                    "output stays on although told off; drop the enable line or use the emergency stop",
+                    device=self.name,
+                )
+            except (TransportError, ProtocolError) as exc:
+                fault = exc
+                if not self._line.is_open:
+                    break
+        assert fault is not None
+        raise fault
+
+    def _still_on(self) -> bool:
+        if self._commands.get_output:
+            return self._link.ask_switch(self._commands.get_output)
+        return self.state().running
+
+    def _prepare(self, frequency_hz: float) -> None:
+        """At rest: form, frequency and lowest level, so that switching on moves next to nothing."""
+        for command in self._commands.setup:
+            self._link.tell(command)
+        self._send_frequency(frequency_hz)
+        self._send_level(frequency_hz, self._lowest_mm(frequency_hz))
+        self._link.check_errors("being set up")
+
+    def _ramp(self, start: ShakerState, frequency_hz: float, amplitude_mm: float, *, heed_halt: bool = True) -> None:
+        """Straight in amplitude, geometric in frequency, a small step each tick."""
+        change = abs(amplitude_mm - start.amplitude_mm)
+        steps = max(1, math.ceil(change / self._settings.ramp_mm_s / RAMP_TICK_S))
+        moved = abs(math.log(frequency_hz / start.frequency_hz)) > 1e-9
+        if moved:
+            steps = max(steps, 10)
+        begin = time.monotonic()
+        for step in range(1, steps + 1):
+            if heed_halt:
+                self._pass_gate()
+            part = step / steps
+            now_hz = start.frequency_hz * (frequency_hz / start.frequency_hz) ** part
+            if moved:
+                self._send_frequency(now_hz)
+            self._send_level(now_hz, start.amplitude_mm + (amplitude_mm - start.amplitude_mm) * part)
+            rest = begin + step * RAMP_TICK_S - time.monotonic()
+            if step < steps and rest > 0:
+                if heed_halt:
+                    self._halt.wait(rest)
+                else:
+                    time.sleep(rest)
+
+    def _confirm(self, frequency_hz: float, amplitude_mm: float) -> None:
+        self._link.check_errors(f"set to {frequency_hz:g} Hz, {amplitude_mm:g} mm")
+        self._pass_gate()
+        now = self.state()
+        tolerance = self._settings.readback_tolerance
+        floor_mm = self._lowest_mm(frequency_hz)
+        asked_mm = max(amplitude_mm, floor_mm)
+        if (
+            not (now.running or asked_mm <= floor_mm * 1.01)
+            or abs(now.frequency_hz / frequency_hz - 1) > tolerance
+            or abs(now.amplitude_mm - asked_mm) > tolerance * asked_mm + 0.1 * floor_mm
+        ):
+            self._pass_gate()
+            raise DeviceRefused(
+                f"told {frequency_hz:g} Hz, {asked_mm:.4g} mm, reports {now.frequency_hz:g} Hz, "
+                f"{now.amplitude_mm:.4g} mm, output {'on' if now.running else 'off'}; check its own limits",
+                device=self.name,
+            )
+
+    def _pass_gate(self) -> None:
+        if self._halt.is_set():
+            raise DeviceRefused("stopped while it was being set", device=self.name)
+
+    def _near(self, a_hz: float, b_hz: float) -> bool:
+        return abs(math.log(a_hz / b_hz)) <= math.log(self._settings.glide_ratio)
+
+    def _per_mm(self, frequency_hz: float) -> float:
+        """Controller's level for one millimetre of the table; NaN where no calibration tells."""
+        mm_per_v = 1.0
+        if self._table is not None:
+            try:
+                mm_per_v = self._table.mm_per_v(frequency_hz)
+            except LimitError:
+                return math.nan
+        return LEVELS[self._commands.level_name](frequency_hz, mm_per_v) / self._trim
+
+    @property
+    def _lowest_level(self) -> float:
+        """The controller's level where ramps begin and end, in its own unit."""
+        return self._settings.lowest_level_v * LEVELS[self._commands.level_name](1.0, 1.0) if self._table else 0.0
+
+    def _lowest_mm(self, frequency_hz: float) -> float:
+        return self._lowest_level / self._per_mm(frequency_hz) if self._table else self._settings.lowest_mm
+
+    def _check_limits(self, frequency_hz: float, amplitude_mm: float) -> None:
+        if not (math.isfinite(frequency_hz) and math.isfinite(amplitude_mm)) or frequency_hz <= 0 or amplitude_mm < 0:
+            raise LimitError(f"{frequency_hz} Hz at {amplitude_mm} mm is no excitation", key=self.name)
+        limits = self._settings.limits
+        crossed = crossed_frequency(limits, frequency_hz) or crossed_amplitude(limits, frequency_hz, amplitude_mm)
+        if crossed:
+            raise LimitError(crossed, key=f"{self.name}.limits")
+        if self._table is None:
+            return
+        level_v = amplitude_mm / (self._table.mm_per_v(frequency_hz) * self._trim)
+        if level_v > self._settings.highest_level_v:
+            raise LimitError(
+                f"{amplitude_mm:g} mm at {frequency_hz:g} Hz needs {level_v:.3g} V, limit "
+                f"{self._settings.highest_level_v:g} V; lower the amplitude, or raise the gain and calibrate",
+                key=f"{self.name}.highest_level_v",
+            )
+
+    def _send_frequency(self, frequency_hz: float) -> None:
+        self._link.tell(self._commands.set_frequency.format(frequency_hz=frequency_hz))
+
+    def _send_level(self, frequency_hz: float, amplitude_mm: float) -> None:
+        level_mm = max(amplitude_mm, self._lowest_mm(frequency_hz))
+        self._link.tell(self._level_command(level_mm * self._per_mm(frequency_hz)))
+
+    def _level_command(self, level: float) -> str:
+        return self._commands.set_level.format(**{self._commands.level_name: level})

@@ -1,0 +1,170 @@
+"""Questions and answers with a SCPI controller: nothing in the protocol numbers a reply, so order is all there is.
+
+A late answer would be taken for the next question's. So after anything unexpected the link is *dirty*: before the
+next question it asks for the identity until the known one comes back, and whatever came before that is thrown away.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError
+from labdrivers.scpi_commands import Commands
+from labdrivers.serial_line import SerialLine
+
+LONGEST_QUEUE = 30
+"""Keysight's error queues hold 20; more entries than this are no queue."""
+
+
+class ScpiLink:
+    """Exchanges over a `SerialLine`, one at a time, whichever thread asks.
+
+    Parameters
+    ----------
+    line
+        The port.
+    commands
+        The controller's spelling.
+    """
+
+    def __init__(self, line: SerialLine, commands: Commands) -> None:
+        self._line, self._commands = line, commands
+        self._lock = threading.RLock()
+        self._dirty = False
+        self._identity: str | None = None
+
+    @property
+    def device(self) -> str:
+        """Name in the rig file."""
+        return self._line.device
+
+    @contextmanager
+    def exclusive(self) -> Iterator[None]:
+        """Keep other threads' exchanges out, so that a check and the command that depends on it belong together."""
+        with self._lock:
+            yield
+
+    def identify(self) -> str:
+        """Ask who is there, twice over if the first answer was left over from an earlier talk."""
+        with self._lock:
+            self._line.write(b"\n")  # ends whatever half a command an earlier program left
+            self._line.discard()
+            first = self._ask(self._commands.identify)
+            second = self._ask(self._commands.identify)
+            if first != second:
+                self._line.discard()
+                first, second = self._ask(self._commands.identify), self._ask(self._commands.identify)
+            if first != second or not first.isprintable():
+                raise ProtocolError(
+                    f"gives different identities ({first!r}, {second!r}); check baud rate and wiring",
+                    device=self.device,
+                )
+            self._identity, self._dirty = first, False
+            return first
+
+    def tell(self, command: str) -> None:
+        """Send a setting; wait for its acknowledgement if the controller gives one."""
+        with self._lock, self._watched():
+            self._resync()
+            self._line.write(command.encode("ascii") + b"\n")
+            if self._commands.acknowledge:
+                answer = self._read()
+                if answer != self._commands.acknowledge:
+                    raise ProtocolError(
+                        f"answered {answer!r} to {command!r}, not {self._commands.acknowledge!r}", device=self.device
+                    )
+
+    def tell_at_once(self, command: str) -> None:
+        """Send a setting even while another thread waits for a reply: for stopping."""
+        self._dirty = True  # whoever waits may now see an answer that is not theirs
+        self._line.write(command.encode("ascii") + b"\n")
+
+    def ask(self, question: str) -> str:
+        """One question, one line of answer."""
+        with self._lock, self._watched():
+            self._resync()
+            return self._ask(question)
+
+    def ask_number(self, question: str) -> float:
+        """A question whose answer is a number; asked once more if it is not."""
+        answer = self.ask(question)
+        for last in (False, True):
+            try:
+                value = float(answer.split(",")[0].split()[0])
+                if math.isfinite(value):
+                    return value
+            except (ValueError, IndexError):
+                pass
+            self._dirty = True
+            if not last:
+                answer = self.ask(question)
+        raise ProtocolError(f"answered {answer!r} to {question!r}, where a number belongs", device=self.device)
+
+    def ask_switch(self, question: str) -> bool:
+        """Whether an output is on; asked once more if the answer is neither on nor off."""
+        answer = ""
+        for _ in range(2):
+            answer = self.ask(question)
+            if answer.upper() in self._commands.on_replies:
+                return True
+            if answer.upper() in self._commands.off_replies:
+                return False
+            self._dirty = True
+        raise ProtocolError(f"answered {answer!r} to {question!r}, neither on nor off", device=self.device)
+
+    def check_errors(self, doing: str) -> None:
+        """Empty the error queue; raise `DeviceRefused` with its entries if there were any."""
+        if not self._commands.error:
+            return
+        errors: list[str] = []
+        for _ in range(LONGEST_QUEUE):
+            entry = self.ask(self._commands.error)
+            try:
+                number = int(float(entry.split(",")[0]))
+            except ValueError:
+                self._dirty = True
+                raise ProtocolError(f"answered {entry!r} where an error number belongs", device=self.device) from None
+            if number == 0:
+                break
+            errors.append(entry)
+        else:
+            raise ProtocolError(f"error queue never empties ({errors[-1]})", device=self.device)
+        if errors:
+            raise DeviceRefused(f"refused while {doing}: {'; '.join(errors)}", device=self.device)
+
+    def _ask(self, question: str) -> str:
+        self._line.write(question.encode("ascii") + b"\n")
+        return self._read()
+
+    def _read(self) -> str:
+        raw = self._line.read_line(time.monotonic() + self._line.settings.timeout_s)
+        try:
+            return raw.decode("ascii").strip()
+        except UnicodeDecodeError:
+            raise ProtocolError(f"sent {raw[:40]!r}, which is no text; check baud rate", device=self.device) from None
+
+    def _resync(self) -> None:
+        if not self._dirty or self._identity is None:
+            return
+        self._line.discard()
+        self._line.write(self._commands.identify.encode("ascii") + b"\n")
+        deadline = time.monotonic() + self._line.settings.timeout_s
+        while True:
+            answer = self._line.read_line(deadline)
+            if answer.decode("ascii", "replace").strip() == self._identity:
+                self._dirty = False
+                return
+            if time.monotonic() > deadline:  # a device that babbles must not keep us here
+                raise TransportError("does not come back into step; power it off and on", device=self.device)
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except DeviceError:
+            self._dirty = True
+            raise

@@ -1,0 +1,114 @@
+"""The memory card of a simulated camera: folders and files with handles, kept on disk so that memory stays flat."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+STORAGE_ID = 0x00010001
+FORMAT_FOLDER, FORMAT_FILE = 0x3001, 0x3000
+DCIM, FIRST_FOLDER, FIRST_FILE = 0x10000001, 0x10000064, 0x20000001
+NO_PARENT = 0
+
+
+@dataclass(frozen=True, slots=True)
+class CardObject:
+    """A folder or file as the camera describes it."""
+
+    handle: int
+    format: int
+    name: str
+    size_bytes: int
+    parent: int
+    captured_at: str
+    path: Path | None
+
+
+class CardFull(Exception):
+    """No room for another file."""
+
+
+class Card:
+    """A card.
+
+    Parameters
+    ----------
+    directory
+        Where its files lie; a temporary one if None.
+    capacity_bytes
+        Its size.
+    suffix
+        Of the files it takes.
+    """
+
+    def __init__(self, directory: Path | None = None, *, capacity_bytes: int = 8 * 10**9, suffix: str = ".DNG") -> None:
+        self._temporary = tempfile.TemporaryDirectory(prefix="simcard-") if directory is None else None
+        self._directory = directory or Path(self._temporary.name if self._temporary else ".")
+        self._directory.mkdir(parents=True, exist_ok=True)
+        self.capacity_bytes, self._suffix = capacity_bytes, suffix
+        self._lock = threading.Lock()
+        self._objects: dict[int, CardObject] = {}
+        self._next = 0
+
+    def add(self, content: bytes, captured_at: str | None = None) -> list[int]:
+        """Store a file; return the handles that are new: first the folders, if it is the first file, then its own.
+
+        Raises
+        ------
+        CardFull
+            It does not fit.
+        """
+        stamp = captured_at or time.strftime("%Y%m%dT%H%M%S")
+        with self._lock:
+            if len(content) > self._free():
+                raise CardFull
+            new = []
+            for handle, name, parent in ((DCIM, "DCIM", NO_PARENT), (FIRST_FOLDER, "100NCD80", DCIM)):
+                if handle not in self._objects:
+                    self._objects[handle] = CardObject(handle, FORMAT_FOLDER, name, 0, parent, stamp, None)
+                    new.append(handle)
+            handle = FIRST_FILE + self._next
+            self._next += 1
+            name = f"DSC_{self._next % 10000:04d}{self._suffix}"
+            path = self._directory / f"{handle:08x}"
+            path.write_bytes(content)
+            self._objects[handle] = CardObject(handle, FORMAT_FILE, name, len(content), FIRST_FOLDER, stamp, path)
+            return [*new, handle]
+
+    def handles(self) -> list[int]:
+        """All handles, folders included."""
+        with self._lock:
+            return list(self._objects)
+
+    def get(self, handle: int) -> CardObject | None:
+        """The object behind a handle."""
+        with self._lock:
+            return self._objects.get(handle)
+
+    def read(self, item: CardObject, offset: int, size: int) -> bytes:
+        """Part of a file."""
+        if item.path is None:
+            return b""
+        with item.path.open("rb") as stream:
+            stream.seek(offset)
+            return stream.read(size)
+
+    def delete(self, handle: int) -> bool:
+        """Remove a file; False if there is none of this handle."""
+        with self._lock:
+            item = self._objects.pop(handle, None)
+        if item is not None and item.path is not None:
+            os.unlink(item.path)
+        return item is not None
+
+    def free_bytes(self) -> int:
+        """Room left."""
+        with self._lock:
+            return self._free()
+
+    def _free(self) -> int:
+        return self.capacity_bytes - sum(item.size_bytes for item in self._objects.values())

@@ -1,0 +1,277 @@
+"""The trigger box on its serial line: releases the shutters, times their opening, holds the shaker's enable line.
+
+The wire is `trigger_wire`'s; its requests may be sent again without harm, so a lost or broken reply costs a retry, not
+a second shot. Every call locks the wire only for one exchange: heartbeat and drop get through while a shot is awaited.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, ClassVar
+
+from pydantic import Field
+
+from labdaemon.capture.devices import Firing
+from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdrivers.serial_line import PortSettings, SerialLine
+from labdrivers.settings import read_settings
+from labdrivers.trigger_wire import LAST_SEQUENCE, OUTPUTS, decode, elapsed_us, encode
+
+TRIES = 3
+POLL_S = 0.01
+
+
+class TriggerSettings(PortSettings):
+    """``[trigger]`` of the rig file for ``driver = "box"``."""
+
+    timeout_s: float = Field(default=0.5, gt=0, le=10)
+    """Wait for one reply; three tries are made."""
+    cameras: tuple[str, ...] = Field(default=("left", "right"), min_length=1, max_length=OUTPUTS)
+    """Which camera's flash-sync contact is on which input, in order."""
+    opening_lag_s: float = Field(default=0.06, ge=0, lt=2)
+    """From release to opening, until the first shot has measured it."""
+    sd_opening_s: float = Field(default=2e-4, gt=0)
+    """How well the contact tells the opening: shutter curtain and contact, not the box's 10 µs."""
+    hold_enable_ms: int = Field(default=1500, ge=100, le=5000)
+    """How long one heartbeat holds the enable line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """What the box knows of one release; times in µs of its clock, None for what it has not seen."""
+
+    number: int
+    state: str
+    release_us: int | None
+    contacts_us: tuple[int | None, ...]
+    sync_us: int | None
+    period_us: int | None
+    now_us: int
+
+
+class TriggerBox:
+    """Driver of the group ``labdaemon.triggers``.
+
+    Parameters
+    ----------
+    name
+        Section's name in the rig file.
+    settings
+        The section.
+    """
+
+    SETTINGS: ClassVar[frozenset[str]] = frozenset(TriggerSettings.model_fields)
+
+    def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
+        self.name = name
+        self._settings = read_settings(TriggerSettings, settings, key=name, ignore=frozenset({"driver"}))
+        self._line = SerialLine(name, self._settings, raise_lines=False)
+        self._lock = threading.Lock()
+        self._sequence = 0
+        self._lag_s = self._settings.opening_lag_s
+        self._armed = False
+        self._seen = 0
+
+    def connect(self) -> str:
+        """Open the wire and identify. Fires nothing, raises nothing.
+
+        Raises
+        ------
+        TransportError
+            The port does not open or nobody answers.
+        ProtocolError
+            Something else than a trigger box answers.
+        """
+        self._armed = False
+        self._line.open()
+        try:
+            self._line.write(b"\n")
+            self._line.discard()
+            words = self._exchange("ID")
+        except DeviceError:
+            self._line.close()
+            raise
+        if len(words) != 4 or words[0] != "labtrigger" or not words[3].isdigit():
+            self._line.close()
+            raise ProtocolError(f"is no trigger box (answered {' '.join(words)!r}); check the port", device=self.name)
+        if int(words[3]) < len(self._settings.cameras):
+            self._line.close()
+            raise DeviceRefused(
+                f"has {words[3]} outputs for {len(self._settings.cameras)} cameras; shorten `cameras`", device=self.name
+            )
+        return " ".join(words)
+
+    def close(self) -> None:
+        """Give the wire back; the enable line drops by itself."""
+        self._line.close()
+
+    def raise_enable(self) -> None:
+        """Raise the shaker's enable line: the caller has seen the shaker's output off just before."""
+        self._exchange(f"EN {self._settings.hold_enable_ms}")
+
+    def heartbeat(self) -> None:
+        """Hold the enable line a while longer. Never raises a line that is down.
+
+        Raises
+        ------
+        DeviceRefused
+            The line is down: a heartbeat came too late, the box restarted, or it was dropped.
+        """
+        if self._exchange(f"HB {self._settings.hold_enable_ms}") != ("1",):
+            raise DeviceRefused(
+                "the shaker's enable line is down; bring the shaker's output to rest, then raise it again",
+                device=self.name,
+            )
+
+    def drop_enable(self) -> None:
+        """Drop the enable line now; only `raise_enable` brings it back."""
+        if self._exchange("DROP") != ("0",):
+            raise DeviceRefused("enable line does not drop; use the emergency stop", device=self.name)
+
+    def fire(self, exposure_s: float, *, frequency_hz: float | None = None, phase_rad: float | None = None) -> Firing:
+        """Release all shutters once and return when they have opened.
+
+        Parameters
+        ----------
+        exposure_s
+            How long the release lines are held.
+        frequency_hz
+            Excitation, for the phase; the sync input's own period is used when it is not given.
+        phase_rad
+            Excitation phase wanted at the mean opening of the cameras.
+
+        Raises
+        ------
+        DeviceRefused
+            No sync edges although a phase was asked for, or a shot is under way.
+        """
+        if not 0 < exposure_s <= 3600:
+            raise UsageError(f"an exposure of {exposure_s} s cannot be held")
+        hold_us = round(exposure_s * 1e6)
+        request = f"FIRE {hold_us}"
+        patience_s = self._lag_s + 2.5
+        if phase_rad is not None:
+            if frequency_hz is None or frequency_hz <= 0:
+                raise UsageError("firing at a phase needs the excitation's frequency")
+            turns = (phase_rad / (2 * math.pi) - self._lag_s * frequency_hz) % 1.0
+            request += f" {round(turns / frequency_hz * 1e6)}"
+            patience_s += 2 / frequency_hz
+        number = self._number(self._exchange(request))
+        shot = self._await(number, patience_s)
+        if shot is None or shot.state != "DONE":
+            raise DeviceRefused("accepted a shot but never released it; power the box off and on", device=self.name)
+        self._seen = max(self._seen, number) if self._armed else number
+        return self._firing(shot, frequency_hz)
+
+    def wait(self, timeout_s: float) -> Firing | None:
+        """Wait for a release by the external input, arming it at the first call; None when none came in time."""
+        deadline = time.monotonic() + timeout_s
+        if not self._armed:
+            self._seen = self._number(self._exchange("ARM 1000000"))
+            self._armed = True
+        while True:
+            shot = self._ask_shot(self._seen + 1)
+            if shot is not None and shot.state == "DONE":
+                self._seen = shot.number
+                return self._firing(shot, None)
+            if time.monotonic() >= deadline and (shot is None or shot.state == "WAIT"):
+                return None
+            time.sleep(POLL_S)
+
+    def _await(self, number: int, patience_s: float) -> Shot | None:
+        deadline = time.monotonic() + patience_s
+        while True:
+            shot = self._ask_shot(number)
+            if (shot is not None and shot.state == "DONE") or time.monotonic() >= deadline:
+                return shot
+            time.sleep(POLL_S)
+
+    def _ask_shot(self, number: int) -> Shot | None:
+        try:
+            words = self._exchange(f"SHOT {number}")
+        except DeviceRefused as exc:
+            if "UNKNOWN" in str(exc):
+                return None
+            raise
+        try:
+            if len(words) != 6 + OUTPUTS or words[1] not in ("WAIT", "OPEN", "DONE"):
+                raise ValueError
+            times = [None if word == "-" else int(word) for word in words[2:-1]]
+            return Shot(
+                int(words[0]), words[1], times[0], tuple(times[1 : 1 + OUTPUTS]), times[-2], times[-1], int(words[-1])
+            )
+        except ValueError:
+            raise ProtocolError(f"describes a shot as {' '.join(words)!r}", device=self.name) from None
+
+    def _firing(self, shot: Shot, frequency_hz: float | None) -> Firing:
+        """From the box's clock to the host's and to the excitation's phase."""
+        if shot.release_us is None:
+            raise ProtocolError("reports a shot without its release", device=self.name)
+        opening_s = {
+            camera: elapsed_us(contact, shot.release_us) * 1e-6
+            for camera, contact in zip(self._settings.cameras, shot.contacts_us, strict=False)
+            if contact is not None
+        }
+        if opening_s:
+            self._lag_s = sum(opening_s.values()) / len(opening_s)
+        age_s = elapsed_us(shot.now_us, shot.release_us) * 1e-6 - self._lag_s
+        opened_at = datetime.now(UTC) - timedelta(seconds=age_s)
+        if frequency_hz is None and shot.period_us:
+            frequency_hz = 1e6 / shot.period_us
+        if shot.sync_us is None or frequency_hz is None or not opening_s:
+            return Firing(opened_at, opening_s)
+        after_sync_s = elapsed_us(shot.release_us, shot.sync_us) * 1e-6 + self._lag_s
+        omega = 2 * math.pi * frequency_hz
+        sd_s = self._settings.sd_opening_s / math.sqrt(len(opening_s))
+        return Firing(opened_at, opening_s, omega * after_sync_s % (2 * math.pi), omega * sd_s)
+
+    def _number(self, words: tuple[str, ...]) -> int:
+        if len(words) != 1 or not words[0].isdigit():
+            raise ProtocolError(f"answered {' '.join(words)!r} where a shot's number belongs", device=self.name)
+        return int(words[0])
+
+    def _exchange(self, request: str) -> tuple[str, ...]:
+        """One request and its reply's values; sent up to three times, served once."""
+        with self._lock:
+            self._sequence = self._sequence % LAST_SEQUENCE + 1
+            line = encode(">", self._sequence, request)
+            fault: DeviceError = TransportError(f"does not answer {request!r}", device=self.name)
+            for _ in range(TRIES):
+                self._line.write(line)
+                try:
+                    words = self._reply(request)
+                except (TransportError, ProtocolError) as exc:
+                    fault = exc
+                    if not self._line.is_open:
+                        break
+                    self._line.discard(limit_s=0.1)
+                    continue
+                if words[:1] == ("OK",):
+                    return words[1:]
+                if words[:1] == ("ERR",):
+                    raise DeviceRefused(f"refused {request!r}: {' '.join(words[1:])}", device=self.name)
+                fault = ProtocolError(f"answered {' '.join(words)!r} to {request!r}", device=self.name)
+            raise fault
+
+    def _reply(self, request: str) -> tuple[str, ...]:
+        deadline = time.monotonic() + self._settings.timeout_s
+        rubbish = 0
+        while True:
+            try:
+                frame = decode("<", self._line.read_line(deadline))
+            except TransportError:
+                if rubbish:
+                    raise ProtocolError(
+                        f"answers {request!r} with rubbish; check baud rate and wiring", device=self.name
+                    ) from None
+                raise
+            if frame is not None and frame.sequence == self._sequence:
+                return frame.words
+            rubbish += frame is None  # a frame with another number is only late
+            if rubbish > 100:
+                raise ProtocolError("babbles; check baud rate and that it is this device", device=self.name)

@@ -1,0 +1,86 @@
+r"""The trigger box's line protocol: what goes over its serial wire, both ways.
+
+Every exchange is one request of the host and one reply of the box, each a line of ASCII ended by ``\n``::
+
+    >SEQ VERB ARGUMENTS*CRC        host to box
+    <SEQ OK VALUES*CRC             box to host
+    <SEQ ERR WORD TEXT*CRC
+
+``SEQ`` is 1 to 65535, chosen by the host, one more each time. ``CRC`` is four hexadecimal digits of CRC-16/XMODEM
+(polynomial 1021, start 0; `binascii.crc_hqx`, avr-libc's `_crc_xmodem_update`) over everything between the first
+character and the ``*``. The box never speaks unasked, and ignores a line whose checksum is wrong. So rubbish and late
+replies cannot be mistaken: a reply counts only with the right checksum *and* the sequence number just sent. A request
+that gets no reply is sent again with its number; the box answers a number it has just served with the same reply and
+does nothing twice, so a shutter is never fired twice for one command.
+
+Times are whole microseconds of the box's own clock, modulo 2³² (71 minutes): only differences mean anything.
+
+===================  =============================================  =================================================
+Request              Reply's values                                 Meaning
+===================  =============================================  =================================================
+``ID``               ``labtrigger VERSION SERIAL OUTPUTS``          who is there; accepts any sequence number
+``NOW``              ``TIME``                                       the box's clock
+``EN MS``            ``1``                                          raise the enable line, for MS ms (at most 5000)
+``HB MS``            ``0`` or ``1``                                 hold it MS ms more *if it is up*; its state
+``DROP``             ``0``                                          drop it now
+``FIRE HOLD``        ``N``                                          release all shutters now, for HOLD µs; shot N
+``FIRE HOLD DELAY``  ``N``                                          the same DELAY µs after the next sync edge
+``ARM HOLD``         ``N``                                          from now on each edge of the external input
+                                                                    releases; N is the last shot so far
+``DISARM``           ``N``                                          no longer; N is the last shot
+``SHOT N``           ``N STATE RELEASE O1..O4 SYNC PERIOD NOW``     what is known of shot N, below
+===================  =============================================  =================================================
+
+Of a shot: STATE is WAIT, OPEN (released) or DONE; O1 to O4 the closing of each flash-sync contact; SYNC the last sync
+edge before the release, PERIOD the sync's period; ``-`` for what was not seen.
+A shot is DONE when all contacts have closed or two seconds have passed since the release. The box remembers eight.
+Errors: ``SYNTAX``, ``RANGE``, ``BUSY`` (a shot is under way), ``NOSYNC`` (no edge of the sync input within two
+seconds), ``UNKNOWN`` (no such shot).
+"""
+
+from __future__ import annotations
+
+import binascii
+from dataclasses import dataclass
+
+CLOCK_WRAP = 2**32
+LAST_SEQUENCE = 65535
+OUTPUTS = 4
+LONGEST_HOLD_MS = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A line that passed its checksum: sequence number and the words after it."""
+
+    sequence: int
+    words: tuple[str, ...]
+
+
+def encode(start: str, sequence: int, text: str) -> bytes:
+    """One line: `start` is ``>`` towards the box, ``<`` from it."""
+    body = f"{sequence} {text}"
+    return f"{start}{body}*{binascii.crc_hqx(body.encode('ascii'), 0):04X}\n".encode("ascii")
+
+
+def decode(start: str, line: bytes) -> Frame | None:
+    """The frame in a line (its end removed), None if it is not one or its checksum is wrong."""
+    head, separator, check = line.strip().partition(b"*")
+    if not separator or not head.startswith(start.encode("ascii")) or len(check) != 4:
+        return None
+    body = head[1:]
+    try:
+        if int(check, 16) != binascii.crc_hqx(body, 0):
+            return None
+        words = body.decode("ascii").split(" ")
+        sequence = int(words[0])
+    except ValueError:
+        return None
+    if not 0 < sequence <= LAST_SEQUENCE:
+        return None
+    return Frame(sequence, tuple(words[1:]))
+
+
+def elapsed_us(later: int, earlier: int) -> int:
+    """Microseconds between two times of the box, either sign, up to half a wrap."""
+    return (later - earlier + CLOCK_WRAP // 2) % CLOCK_WRAP - CLOCK_WRAP // 2
