@@ -53,37 +53,47 @@ def crossed_frequency(limits: ShakerLimits, frequency_hz: float) -> str | None:
 
 
 def crossed_amplitude(limits: ShakerLimits, frequency_hz: float, amplitude_mm: float) -> str | None:
-    """Say which limit this excitation crosses, by how much, and what would be allowed; None if it crosses none.
+    """Say which limit this excitation crosses (the tightest) and what would be allowed; None if it crosses none.
 
     Parameters
     ----------
     frequency_hz, amplitude_mm
         Excitation; amplitude of the table, zero to peak.
     """
-    largest = largest_amplitude_mm(limits, frequency_hz)
-    if amplitude_mm <= largest * (1 + 1e-9):
+    allowed = _allowed_mm(limits, frequency_hz)
+    tightest = min(allowed, key=lambda name: allowed[name])
+    if amplitude_mm <= allowed[tightest] * (1 + 1e-9):
         return None
-    velocity = peak_velocity_mm_s(frequency_hz, amplitude_mm)
     acceleration = peak_acceleration_mm_s2(frequency_hz, amplitude_mm)
-    if 2 * amplitude_mm > limits.stroke_mm:
-        what = f"{2 * amplitude_mm:g} mm of travel is beyond the table's stroke of {limits.stroke_mm:g} mm"
-    elif velocity > limits.velocity_mm_s:
-        what = f"peak velocity {velocity:.4g} mm/s is beyond the table's {limits.velocity_mm_s:g} mm/s"
-    elif acceleration > limits.acceleration_mm_s2:
-        what = f"peak acceleration {acceleration:.4g} mm/s² is beyond the table's {limits.acceleration_mm_s2:g} mm/s²"
-    else:
-        force = (limits.moving_mass_kg or 0.0) * acceleration / 1000
-        what = f"force {force:.4g} N is beyond the shaker's {limits.force_n:g} N"
-    return f"{amplitude_mm:g} mm at {frequency_hz:g} Hz: {what}; at most {_floor(largest):g} mm is allowed there"
+    what = {
+        "stroke": f"{2 * amplitude_mm:g} mm of travel is beyond the table's stroke of {limits.stroke_mm:g} mm",
+        "velocity": f"peak velocity {peak_velocity_mm_s(frequency_hz, amplitude_mm):.4g} mm/s is beyond the table's "
+        f"{limits.velocity_mm_s:g} mm/s",
+        "acceleration": f"peak acceleration {acceleration:.4g} mm/s² is beyond the table's "
+        f"{limits.acceleration_mm_s2:g} mm/s²",
+        "force": f"force {(limits.moving_mass_kg or 0.0) * acceleration / 1000:.4g} N is beyond the shaker's "
+        f"{limits.force_n or 0.0:g} N",
+    }[tightest]
+    advised = _floor(allowed[tightest])
+    return f"{amplitude_mm:g} mm at {frequency_hz:g} Hz: {what}; at most {advised:g} mm is allowed there"
 
 
 def largest_amplitude_mm(limits: ShakerLimits, frequency_hz: float) -> float:
     """Largest semi-amplitude that crosses no limit at this frequency, millimetres."""
+    return min(_allowed_mm(limits, frequency_hz).values())
+
+
+def _allowed_mm(limits: ShakerLimits, frequency_hz: float) -> dict[str, float]:
+    """Largest semi-amplitude by each limit."""
     omega = 2 * math.pi * frequency_hz
-    bounds = [limits.stroke_mm / 2, limits.velocity_mm_s / omega, limits.acceleration_mm_s2 / omega**2]
+    allowed = {
+        "stroke": limits.stroke_mm / 2,
+        "velocity": limits.velocity_mm_s / omega,
+        "acceleration": limits.acceleration_mm_s2 / omega**2,
+    }
     if limits.force_n is not None and limits.moving_mass_kg is not None:
-        bounds.append(1000 * limits.force_n / limits.moving_mass_kg / omega**2)
-    return min(bounds)
+        allowed["force"] = 1000 * limits.force_n / limits.moving_mass_kg / omega**2
+    return allowed
 
 
 def _floor(value: float) -> float:

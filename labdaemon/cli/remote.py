@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ from uuid import uuid4
 import click
 
 from labdaemon.errors import UsageError
-from labdaemon.stream.client import COMMANDS, Client, JournalChanged
+from labdaemon.stream.client import COMMANDS, Client, JournalChanged, NoDaemon
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 STOP_TIMEOUT_S = 15.0
@@ -37,10 +38,22 @@ def address_options(command: Command) -> Command:
 
 def ask(address: str, method: str, *, timeout_s: float = 10.0, **params: Any) -> Any:
     """One command to the daemon at `address`."""
-    if not address.startswith("tcp://"):
-        raise UsageError(f"--address {address}: write tcp://127.0.0.1:PORT")
+    _knock(address)
     with Client(address, timeout_s=timeout_s) as client:
         return client.call(method, **params)
+
+
+def _knock(address: str) -> None:
+    """Fail at once where nobody listens, instead of after the time a command may take."""
+    host, _, port = address.removeprefix("tcp://").rpartition(":")
+    if not address.startswith("tcp://") or not port.isdigit() or int(port) >= 1 << 16:
+        raise UsageError(f"--address {address}: write tcp://127.0.0.1:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=3.0).close()
+    except OSError as exc:
+        raise NoDaemon(
+            f"nobody listens at {address} ({exc.strerror or exc}): is `labdaemon run` running there?"
+        ) from None
 
 
 def say(result: Any, as_json: bool, sentence: str) -> None:

@@ -204,7 +204,7 @@ def _check_driver(
         try:
             driver(name, settings)
         except ConfigError as exc:
-            inner = (exc.key or "").removeprefix(name).strip(".")
+            inner = (exc.key or "").removeprefix(key).removeprefix(name).strip(".")
             message = str(exc).removeprefix(f"{exc.key}: ")
             raise ConfigError(message, source=source, key=f"{key}.{inner}" if inner else key) from None
 

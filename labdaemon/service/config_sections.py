@@ -7,7 +7,7 @@ checked against what it says it understands.
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
@@ -56,10 +56,13 @@ class DriverSection(Section):
 
     driver: Name
 
+    ours: ClassVar[frozenset[str]] = frozenset()
+    """Keys that are none of the driver's business."""
+
     @property
     def settings(self) -> dict[str, Any]:
         """The section as plain values, as a driver gets it: what was written, under the names it was written."""
-        return self.model_dump(exclude_unset=True)
+        return self.model_dump(exclude_unset=True, exclude=set(self.ours))
 
     @property
     def driver_keys(self) -> set[str]:
@@ -107,6 +110,8 @@ class ShakerSection(DriverSection):
 class TriggerSection(DriverSection):
     """What releases the shutters; driver ``camera`` when an outside system does."""
 
+    ours: ClassVar[frozenset[str]] = frozenset({"window_s"})
+
     window_s: Seconds = 5.0
     """Frames that arrive from all cameras within this time are one capture (driver ``camera``)."""
 
@@ -122,6 +127,8 @@ class GaugeSection(DriverSection):
 
 class CameraSection(DriverSection):
     """A camera body and its lens (OpenCV's model; `labdaemon calibrate camera` fills it in)."""
+
+    ours: ClassVar[frozenset[str]] = frozenset({"exposure_steps_s"})
 
     serial: str
     exposure_s: Annotated[float, Field(gt=0, le=900, strict=True)] | None = None

@@ -1,0 +1,58 @@
+"""What people read of events: amplitudes of orbits, durations, odd payloads."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labdaemon.cli.progress import Progress, amplitude_mm, duration, event_line, status_lines
+
+AXIS = st.floats(-10, 10)
+
+
+@settings(max_examples=50, deadline=None)
+@given(a=st.tuples(AXIS, AXIS, AXIS), b=st.tuples(AXIS, AXIS, AXIS))
+def test_amplitude_is_the_farthest_point_of_the_sampled_orbit(
+    a: tuple[float, float, float], b: tuple[float, float, float]
+) -> None:
+    phase = np.linspace(0, 2 * math.pi, 4001)[:, None]
+    farthest = np.linalg.norm(np.sin(phase) * np.array(a) + np.cos(phase) * np.array(b), axis=1).max()
+    row = {f"{name}{axis}_mm": value for name, v in (("a", a), ("b", b)) for axis, value in zip("xyz", v, strict=True)}
+    assert amplitude_mm(row) == pytest.approx(farthest, rel=1e-5, abs=1e-6)
+
+
+def test_one_camera_has_no_normal_component() -> None:
+    assert amplitude_mm({"ax_mm": 3.0, "ay_mm": 0.0, "az_mm": 4.0, "bx_mm": None}) == 5.0
+    assert amplitude_mm({"ax_mm": None}) is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(None, "–"), (0, "0:00"), (59.6, "1:00"), (3599, "59:59"), (3723, "1:02:03"), (-5, "0:00")]
+)
+def test_durations(seconds: float | None, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_a_bare_status_is_enough() -> None:
+    assert status_lines({"state": "idle"}) == ["state      idle"]
+    assert status_lines({}) == ["state      unknown"]
+
+
+@pytest.mark.parametrize(
+    "kind", ["campaign.failed", "step.skipped", "fault", "envelope", "capture.completed", "step.started", "later.kind"]
+)
+def test_events_with_nothing_in_them_still_print(kind: str) -> None:
+    assert event_line({"kind": kind, "data": {}, "campaign": None, "seq": 1})
+
+
+def test_plain_output_leaves_the_heartbeat_out(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress() as progress:
+        progress.show({"kind": "status", "at": "2026-05-04T10:11:12Z", "campaign": None, "data": {"state": "idle"}})
+        progress.show(
+            {"kind": "campaign.aborted", "at": "2026-05-04T10:11:12Z", "campaign": "c", "data": {"reason": "asked to"}}
+        )
+    assert capsys.readouterr().out == "10:11:12 aborted    campaign c: asked to\n"
