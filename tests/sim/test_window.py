@@ -112,3 +112,23 @@ def test_dwell_map_keeps_time_place_and_spread() -> None:
     for power_x, power_y in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 2)):
         expected = (weights * offsets[:, 0] ** power_x * offsets[:, 1] ** power_y).sum()
         assert (dwell * x**power_x * y**power_y).sum() == pytest.approx(expected, abs=2e-5 * total)
+
+
+def test_a_label_may_stay_behind_its_dot() -> None:
+    def motion(t: FloatArray) -> FloatArray:
+        return np.stack([3.0 * np.sin(2 * np.pi * 5 * t), 0.0 * t, 0.0 * t], axis=1)
+
+    view, rest = View(frontal(), Shift()), np.zeros(3)
+    path = follow(view, rest, motion, (0.0, 1.0))
+    images = {}
+    for still in (False, True):
+        scene = Scene((Target("A", (0.0, 0.0, 0.0), 8.0, (40.0, 40.0)),), texture=0.0, still_paper=still)
+        smear = smear_target(scene, 0, view, path, 4)
+        assert smear is not None
+        light, cover = (develop(s, smear.window, LENS)[1] for s in (smear.light, smear.cover))
+        images[still] = light, cover
+    middle = tuple(slice(n // 2 - 30, n // 2 + 30) for n in images[True][0].shape)
+    np.testing.assert_allclose(images[True][0][middle], images[False][0][middle], atol=2e-6)
+    edge = (images[True][1].shape[0] // 2, slice(0, images[True][1].shape[1] // 2))
+    steepest = [np.abs(np.diff(images[still][1][edge])).max() for still in (False, True)]
+    assert steepest[1] > 3 * steepest[0]

@@ -43,6 +43,10 @@ def make_folder(
     occluded: int = 0,
     paper_mm: float | None = None,
     texture: float = 0.004,
+    texture_length_mm: float = 0.3,
+    still_paper: bool = False,
+    gradient: tuple[float, float] = (0.08, -0.05),
+    read_noise_e: float = 7.0,
     gaussian_optics: bool = False,
     nef: bool = False,
     pattern: str = "RGGB",
@@ -88,9 +92,13 @@ def make_folder(
     occluded
         How many targets of each blurred frame have a cable hanging before them.
     paper_mm
-        Side of the labels; by default they exceed the largest motion.
-    texture, gaussian_optics, nef, pattern
-        Paper grain; Gaussian lens blur in place of diffraction; the D80's compression; colour mosaic.
+        Side of the labels; by default so large that their own smeared edges stay clear of the dots' smears.
+    texture, texture_length_mm, still_paper, gradient
+        Paper grain; labels that do not move with their dots; slope of the light (see `Scene`).
+    read_noise_e
+        Of the sensor, electrons.
+    gaussian_optics, nef, pattern
+        Gaussian lens blur in place of diffraction; the D80's compression; colour mosaic.
     survey_sd_mm
         Error of the surveyed control points, as stated beside them.
     distance_mm
@@ -112,7 +120,11 @@ def make_folder(
         raise ValueError(f"tell must be 'all', 'window' or 'nothing', not {tell!r}")
     folder = Path(path)
     sizes = tuple(float(d) for d in diameters_mm)
-    side = paper_mm if paper_mm is not None else max(sizes) + 2.0 * amplitude_mm[1] + 3.0 * rest_offset_mm + 14.0
+    # The label's edge comes as near as half a side less the amplitude to where the dot goes.
+    edges = 2.0 if still_paper else 4.0
+    side = max(sizes) + edges * amplitude_mm[1] + 10.0 + (6.0 * rest_offset_mm if still_paper else 0.0)
+    if paper_mm is not None:
+        side = paper_mm
     layout = make_layout(
         seed=seed,
         cameras=cameras,
@@ -121,6 +133,9 @@ def make_folder(
         diameters_mm=sizes,
         paper_mm=side,
         texture=texture,
+        texture_length_mm=texture_length_mm,
+        still_paper=still_paper,
+        gradient=gradient,
         distance_mm=distance_mm,
     )
     rng = np.random.default_rng([seed, 51])
@@ -128,13 +143,14 @@ def make_folder(
     optics = Optics(
         "gaussian" if gaussian_optics else "airy", pitch_um=layout.pitch_um, sigma_px=0.8 * 6.1 / layout.pitch_um
     )
+    body = Sensor(pattern, read_noise_e=read_noise_e, nef=nef)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(_rig_toml(layout, sizes))
     (folder / "control.csv").write_text(_control_csv(layout, survey_sd_mm, rng))
     if approximate_places:
         (folder / "targets.csv").write_text(_targets_csv(layout.scene, rng))
     for number, (name, camera) in enumerate(layout.cameras.items()):
-        sensor = Sensor(pattern, nef=nef, serial=6000001 + number)
+        sensor = replace(body, serial=6000001 + number)
         for k in range(sharp_frames):
             seed_k = seed * 1009 + number * 101 + k
             sharp = render_frame(layout.scene, camera, optics=optics, sensor=sensor, seed=seed_k, exposure_s=1.0)
@@ -148,7 +164,7 @@ def make_folder(
         for shot, (capture, opening) in enumerate(shots):
             truth_rows: list[str] = []
             for number, (name, camera) in enumerate(layout.cameras.items()):
-                sensor = Sensor(pattern, nef=nef, serial=6000001 + number)
+                sensor = replace(body, serial=6000001 + number)
                 frame = render_frame(
                     layout.scene,
                     camera,

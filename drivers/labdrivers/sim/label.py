@@ -155,14 +155,20 @@ def smear_target(scene: Scene, index: int, view: View, path: Path, fine: int) ->
         return None
     light = np.zeros((window.height * fine, window.width * fine // 2 + 1), np.complex64)
     cover = np.zeros_like(light)
+    if scene.still_paper:
+        paper, white, _ = draw_target(scene, index, view, np.zeros(3), window, half)
+        light, cover = transform(white), transform(paper)
     for members in shape_groups(target, view, path):
         displacement = path.displacement_mm[members].mean(axis=0)
         place = view.project((centre + displacement)[None, :])[0]
-        paper, dot = draw_target(scene, index, view, displacement, window, half)
+        paper, white, missing = draw_target(scene, index, view, displacement, window, half)
         weight = np.full(members.size, 1.0 / path.times_s.size)
         dwell = transform(dwell_map(image[members] - place, weight, window))
-        light += transform(dot) * dwell
-        cover += transform(paper) * dwell
+        if scene.still_paper:
+            light -= transform(missing) * dwell
+        else:
+            light += transform(white - missing) * dwell
+            cover += transform(paper) * dwell
     return Smear(window, light, cover)
 
 
@@ -190,8 +196,8 @@ def shape_groups(target: Target, view: View, path: Path) -> list[NDArray[np.intp
 
 def draw_target(
     scene: Scene, index: int, view: View, displacement_mm: FloatArray, window: Window, half_mm: tuple[float, float]
-) -> tuple[FloatImage, FloatImage]:
-    """Fine images of a label's coverage, and of the light it sends, with the label displaced."""
+) -> tuple[FloatImage, FloatImage, FloatImage]:
+    """Fine images of a displaced label: its coverage, the light it would send without ink, and what the ink takes."""
     target = scene.targets[index]
     x, y = window.centres()
     corners = np.array([(sx * half_mm[0], sy * half_mm[1]) for sx in (-1, 1) for sy in (-1, 1)])
@@ -202,14 +208,12 @@ def draw_target(
     cell_u, cell_v = _cell(u, v)
     cover = coverage(np.abs(u) - half_mm[0], cell_u) * coverage(np.abs(v) - half_mm[1], cell_v)
     ink = disc_coverage(u, v, 0.5 * target.diameter_mm)
-    reflectance = (scene.paper + (scene.ink - scene.paper) * ink) * (
-        1.0 + grain_at(scene, index, target.paper_mm, u, v)
-    )
-    shape = (y.size, x.size)
-    paper, light = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    grain = 1.0 + grain_at(scene, index, target.paper_mm, u, v)
+    paper, white, missing = (np.zeros((y.size, x.size), np.float32) for _ in range(3))
     paper[rows, columns] = cover
-    light[rows, columns] = cover * reflectance
-    return paper, light
+    white[rows, columns] = cover * scene.paper * grain
+    missing[rows, columns] = cover * (scene.paper - scene.ink) * ink * grain
+    return paper, white, missing
 
 
 def disc_coverage(u: FloatArray, v: FloatArray, radius_mm: float) -> FloatArray:

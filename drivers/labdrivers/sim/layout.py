@@ -48,6 +48,9 @@ def make_layout(
     diameters_mm: tuple[float, ...],
     paper_mm: float,
     texture: float,
+    texture_length_mm: float,
+    still_paper: bool,
+    gradient: tuple[float, float],
     distance_mm: float,
 ) -> Layout:
     """Place everything.
@@ -68,8 +71,8 @@ def make_layout(
         Taken in turn.
     paper_mm
         Side of the white labels.
-    texture
-        Relative standard deviation of the paper's reflectance.
+    texture, texture_length_mm, still_paper, gradient
+        As in `Scene`.
     distance_mm
         From the cameras to the middle of the field.
 
@@ -116,7 +119,16 @@ def make_layout(
         )
         for number, (x, z) in enumerate(spots)
     )
-    scene = Scene(tuple(dots), tags, _panels(scale, columns, pitch_x), texture=texture, seed=seed)
+    scene = Scene(
+        tuple(dots),
+        tags,
+        _panels(scale, columns, pitch_x),
+        texture=texture,
+        texture_length_mm=texture_length_mm,
+        still_paper=still_paper,
+        gradient=gradient,
+        seed=seed,
+    )
     image_size, pixel_um = SIZES[size]
     places = {
         "front": (10.0, -distance_mm, MIDDLE_Z_MM + 12.0),

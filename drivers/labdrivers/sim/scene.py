@@ -138,6 +138,9 @@ class Scene:
         How many things stand about in the background.
     seed
         Of background and paper: the same seed is the same lab.
+    still_paper
+        The labels stay where they are and only the dots on them move: not how labels behave, but how a dot before a
+        wall does, and the simplest case for a measurement.
     """
 
     targets: tuple[Target, ...]
@@ -151,6 +154,7 @@ class Scene:
     vignetting: float = 0.12
     clutter: int = 60
     seed: int = 1
+    still_paper: bool = False
 
     @classmethod
     def of(cls, scene: Scene | dict[str, Any]) -> Scene:
