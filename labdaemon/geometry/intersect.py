@@ -38,7 +38,7 @@ class Candidate:
     freedom
         Its degrees of freedom.
     worst_px
-        Largest residual.
+        Largest residual of an observation (px, or px² for second moments).
     """
 
     motion_mm: FloatArray
@@ -81,6 +81,8 @@ def adjust_motion(
     model: Model,
     free: Sequence[int],
     start: FloatArray,
+    *,
+    phase_free: bool = False,
 ) -> Candidate:
     """Gauss–Newton over a target's motion.
 
@@ -98,6 +100,8 @@ def adjust_motion(
         Which of the nine parameters (mean, a, b) are solved for; the others keep their start.
     start
         (3, 3).
+    phase_free
+        The observations do not tell where on its orbit the target starts: hold a's and b's common phase.
 
     Returns
     -------
@@ -115,8 +119,8 @@ def adjust_motion(
         weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)
         design = by_motion[:, columns]
         normal = design.T @ weight @ design
-        # An orbit's phase is free without a reference: take the shortest step.
-        step = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (design.T @ weight @ (target - computed))
+        inverse = _invert(normal, motion if phase_free else None)
+        step = inverse @ (design.T @ weight @ (target - computed))
         if not np.isfinite(step).all():
             raise DataError("its rays do not meet in front of the cameras")
         flat = motion.reshape(9).copy()
@@ -127,13 +131,21 @@ def adjust_motion(
     computed, by_motion, by_exterior = _linearise(views, motion, model)
     weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)
     design, miss = by_motion[:, columns], target - computed
-    inverse = np.linalg.pinv(design.T @ weight @ design, rcond=1e-12, hermitian=True)
     covariance = np.zeros((9, 9))
-    covariance[np.ix_(columns, columns)] = inverse
-    rank = int(np.linalg.matrix_rank(design, tol=1e-6 * float(np.linalg.norm(design, 2))))
-    return Candidate(
-        motion, covariance, float(miss @ weight @ miss), len(target) - rank, float(np.abs(miss).max(initial=0.0))
-    )
+    covariance[np.ix_(columns, columns)] = _invert(design.T @ weight @ design, motion if phase_free else None)
+    freedom = len(target) - len(columns) + (1 if phase_free else 0)
+    return Candidate(motion, covariance, float(miss @ weight @ miss), freedom, float(np.abs(miss).max(initial=0.0)))
+
+
+def _invert(normal: FloatArray, motion: FloatArray | None) -> FloatArray:
+    """Inverse of a normal matrix; of one that leaves the phase of `motion` free, with that phase held."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal * np.outer(scale, scale)
+    if motion is not None:
+        turn = np.concatenate([np.zeros(3), motion[2], -motion[1]]) / scale
+        turn /= np.linalg.norm(turn)
+        scaled = scaled + np.outer(turn, turn)
+    return np.linalg.pinv(scaled, rcond=1e-15, hermitian=True) * np.outer(scale, scale)
 
 
 def _linearise(views: Sequence[View], motion: FloatArray, model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:

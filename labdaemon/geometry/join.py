@@ -22,6 +22,8 @@ DISTINCT = 0.01
 """Chance below which two candidates count as different; others agree within their stated uncertainty."""
 STRAIGHT = 12.0
 """Squared ratio of a minor axis to its standard deviation below which a path counts as straight."""
+ALIKE_MM = 0.02
+"""Two roots of an orbit this close are one for any practical purpose."""
 POOR_FIT = 1e-6
 """Chance of the residuals below which cameras do not see the same point."""
 POOR_FIT_PX = 0.2
@@ -37,7 +39,7 @@ class Joined:
     motion
         The best solution.
     alternative
-        The runner-up that could not be excluded; None when the match is settled.
+        The runner-up that could not be excluded; None when the match is settled, or an orbit's two roots merge.
     settled_by
         ``residual`` (two cameras), ``third camera``, ``phase``, ``continuity``; empty where not settled.
     """
@@ -84,10 +86,9 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
         best = phased_candidate(views, exterior, motions)
         return Joined(_object_motion(best, None, phased=True), settled_by="phase")
     motions = [_axes(motion) for motion in motions]
-    if all(is_straight(motion) for motion in motions):
-        candidates = straight_candidates(views, exterior, motions)
-    else:
-        candidates = orbit_candidates(views, exterior, motions)
+    straight = all(is_straight(motion) for motion in motions)
+    solve = straight_candidates if straight else orbit_candidates
+    candidates = solve(views, exterior, motions)
     best, others = candidates[0], candidates[1:]
     # Residuals larger than stated mean noise larger than stated: it may have decided the match.
     scale = max(1.0, best.square / best.freedom) if best.freedom > 0 else 1.0
@@ -97,10 +98,13 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
         None,
     )
     joined = _object_motion(best, ratio, phased=False)
-    if rival is None:
+    # Two cameras fix five of an orbit's six numbers. Where its plane is nearly edge-on to one of them the two roots
+    # merge, and linear theory no longer says how far apart they may be: only roots that agree are believed.
+    unfixed = not straight and len(views) == 2 and not (len(candidates) > 1 and _alike(*candidates[:2]))
+    if rival is None and not unfixed:
         return Joined(joined, settled_by="residual" if len(views) == 2 else "third camera")
     joined = replace(joined, flags=joined.flags | {Flag.AMBIGUOUS})
-    return Joined(joined, _object_motion(rival, ratio, phased=False))
+    return Joined(joined, None if rival is None else _object_motion(rival, ratio, phased=False))
 
 
 def is_straight(motion: ImageMotion) -> bool:
@@ -277,6 +281,13 @@ def _distinct(first: Candidate, second: Candidate) -> bool:
         here, there = first.motion_mm[axis], second.motion_mm[axis]
         unlike = max(unlike, min(float((here - s * there) @ inverse @ (here - s * there)) for s in (1.0, -1.0)))
     return unlike > chi2.isf(DISTINCT, 3)
+
+
+def _alike(first: Candidate, second: Candidate) -> bool:
+    """Tell whether two candidates are the same for any practical purpose."""
+    here, there = first.motion_mm[1:], second.motion_mm[1:]
+    apart = np.minimum(np.abs(here - there).max(axis=1), np.abs(here + there).max(axis=1))
+    return bool(apart.max() < ALIKE_MM)
 
 
 def _object_motion(candidate: Candidate, ratio: float | None, *, phased: bool) -> ObjectMotion:

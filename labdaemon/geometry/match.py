@@ -83,11 +83,14 @@ def orbit_candidates(views: Sequence[View], exterior: FloatArray, motions: Seque
     observed = [np.concatenate([m.mean_px, moment]) for m, moment in zip(motions, moments, strict=True)]
     found: list[Candidate] = []
     for start in _orbit_starts(views, moments, mean):
-        candidate = adjust_motion(views, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]))
+        candidate = adjust_motion(
+            views, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]), phase_free=True
+        )
         a, b, covariance = principal_axes(candidate.motion_mm[1], candidate.motion_mm[2], candidate.covariance_mm2)
         motion_mm = np.stack([candidate.motion_mm[0], a, b])
         if not any(_same(motion_mm, other.motion_mm) for other in found):
-            found.append(Candidate(motion_mm, covariance, candidate.square, candidate.freedom, candidate.worst_px))
+            worst_px = candidate.worst_px / max(1.0, 2.0 * max(float(np.linalg.norm(m.a_px)) for m in motions))
+            found.append(Candidate(motion_mm, covariance, candidate.square, candidate.freedom, worst_px))
     if not found:
         raise DataError("no orbit in space fits what its cameras see")
     return sorted(found, key=lambda candidate: candidate.square)
