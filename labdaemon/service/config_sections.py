@@ -22,11 +22,11 @@ Pixels = Annotated[int, Field(ge=16, le=100_000, strict=True)]
 FocalLength = Annotated[float, Field(ge=50, le=1e6, strict=True)]
 Seconds = Annotated[float, Field(gt=0, le=86400, strict=True)]
 
-_LOOPBACK = re.compile(r"^tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):\d{1,5}$")
+_LOOPBACK = re.compile(r"^tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):(\d{1,5}|\*)$")
 
 
 class ServiceSection(Section):
-    """Where the daemon listens and what it writes to."""
+    """Where the daemon listens and what it writes to. Port ``*`` takes a free one, which the daemon prints."""
 
     events: str = "tcp://127.0.0.1:5571"
     commands: str = "tcp://127.0.0.1:5570"
@@ -36,7 +36,8 @@ class ServiceSection(Section):
     @field_validator("events", "commands")
     @classmethod
     def _stay_on_loopback(cls, address: str) -> str:
-        if _LOOPBACK.match(address) and int(address.rpartition(":")[2]) < 1 << 16:
+        port = address.rpartition(":")[2]
+        if _LOOPBACK.match(address) and (port == "*" or int(port) < 1 << 16):
             return address
         if not _LOOPBACK.match(address) and re.match(r"^tcp://.+:\d{1,5}$", address):
             raise ValueError(f"{address} is off loopback, where anybody could move the table; use tcp://127.0.0.1:PORT")
@@ -44,7 +45,7 @@ class ServiceSection(Section):
 
     @model_validator(mode="after")
     def _two_addresses(self) -> ServiceSection:
-        if self.events == self.commands:
+        if self.events == self.commands and not self.events.endswith("*"):
             raise ValueError("events and commands share an address; give each its own")
         return self
 

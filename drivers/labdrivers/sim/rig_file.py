@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from labdrivers.sim.spec import RigSpec
@@ -77,6 +78,20 @@ def rig_toml(
         _section("[interlocks]", max_response_mm=60.0, max_response_rate_mm_s=50.0),
     ]
     return "\n".join(sections)
+
+
+def write_rig_files(folder: Path, spec: RigSpec, **reached: Any) -> Path:
+    """Write `rig.toml`, `control.csv` and `targets.csv` into a folder; returns the rig file's path.
+
+    Parameters
+    ----------
+    reached
+        As `rig_toml` takes them: ports, addresses, the daemon's folder.
+    """
+    text = rig_toml(spec, control_file="control.csv", targets_file="targets.csv", **reached)
+    for name, content in (("control.csv", spec.control_csv()), ("targets.csv", spec.targets_csv()), ("rig.toml", text)):
+        (folder / name).write_text(content, encoding="utf-8")
+    return folder / "rig.toml"
 
 
 def _section(head: str, **values: Any) -> str:

@@ -20,6 +20,7 @@ from typing import Any
 
 from labdrivers.sim.assembly import SimulatedRig
 from labdrivers.sim.control import Control, ControlClient, ControlServer
+from labdrivers.sim.rig_file import write_rig_files
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.usb_remote import BusServer
 from labdrivers.sim.wire import TcpPort
@@ -57,10 +58,12 @@ class RunningRig:
         The child, its standard input a pipe that keeps it alive.
     addresses
         As it printed them.
+    spec
+        What it simulates.
     """
 
-    def __init__(self, process: subprocess.Popen[str], addresses: Addresses) -> None:
-        self._process, self.addresses = process, addresses
+    def __init__(self, process: subprocess.Popen[str], addresses: Addresses, spec: RigSpec) -> None:
+        self._process, self.addresses, self.spec = process, addresses, spec
         self.control = ControlClient(addresses.control)
 
     @property
@@ -97,6 +100,19 @@ class RunningRig:
         for camera in changed.get("cameras", {}).values():
             camera["backend"], camera["backend_url"] = self.addresses.backend, self.addresses.backend_url
         return dict(changed)
+
+    def write_files(self, folder: Path, *, events: str, commands: str, data: str) -> Path:
+        """Write the rig file that reaches this rig, with its survey, into a folder; returns the rig file's path."""
+        reached = {"backend": self.addresses.backend, "backend_url": self.addresses.backend_url}
+        return write_rig_files(
+            folder,
+            self.spec,
+            ports=self.addresses.ports,
+            camera_settings=reached,
+            events=events,
+            commands=commands,
+            data=data,
+        )
 
     def close(self) -> None:
         """End it."""
@@ -152,7 +168,14 @@ def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enab
     if not line.strip():
         process.kill()
         raise RuntimeError(f"the simulated rig did not start (exit status {process.wait()})")
-    return RunningRig(process, Addresses(**json.loads(line)))
+    return RunningRig(process, Addresses(**json.loads(line)), _spec(seed, small))
+
+
+def _spec(seed: int, small: bool) -> RigSpec:
+    spec = RigSpec(seed=seed)
+    if small:
+        spec = replace(spec, cameras={name: replace(c, image_size=SMALL_FRAME) for name, c in spec.cameras.items()})
+    return spec
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -164,9 +187,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--enable-not-wired", action="store_true", help="amplifier runs without the enable line")
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input closes")
     options = parser.parse_args(arguments)
-    spec = RigSpec(seed=options.seed)
-    if options.small:
-        spec = replace(spec, cameras={name: replace(c, image_size=SMALL_FRAME) for name, c in spec.cameras.items()})
+    spec = _spec(options.seed, options.small)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
