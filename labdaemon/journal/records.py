@@ -142,6 +142,14 @@ def steps(journal: Journal, campaign: str) -> dict[int, StepRecord]:
     return {row[1]: StepRecord(*row) for row in rows}
 
 
+def step(journal: Journal, campaign: str, index: int) -> StepRecord | None:
+    """One step, None if it was never started."""
+    rows = journal.read(
+        "SELECT campaign, step, state, attempts, reason FROM steps WHERE campaign = ? AND step = ?", campaign, index
+    )
+    return StepRecord(*rows[0]) if rows else None
+
+
 def captures(
     journal: Journal, campaign: str | None = None, *states: CaptureState, step: int | None = None
 ) -> list[CaptureRecord]:

@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from labdaemon import __version__
+from labdaemon.campaign.attempts import Policy
 from labdaemon.campaign.campaign_file import load_campaign
-from labdaemon.campaign.engine import Engine, Policy
+from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.interlocks import Limits
 from labdaemon.campaign.measuring import Measuring
 from labdaemon.campaign.plan import make_plan
@@ -201,8 +202,7 @@ class _Daemon:
             limits,
             folder_files=self._folder_files(),
             free_bytes=lambda: shutil.disk_usage(self.data).free,
-            policy=Policy(accept_changed_rig=self.options.accept_changed_rig),
-            window_s=self.config.trigger.window_s,
+            policy=Policy(accept_changed_rig=self.options.accept_changed_rig, window_s=self.config.trigger.window_s),
         )
         engine.manual.exposure_s = next(
             (camera.exposure_s for camera in self.config.cameras.values() if camera.exposure_s is not None), 1.0

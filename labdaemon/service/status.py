@@ -14,7 +14,7 @@ def status_of(engine: Engine) -> dict[str, Any]:
     journal = engine.lab.recorder.journal
     told: dict[str, Any] = {
         "state": "idle" if record is None else ("paused" if record.state == "paused" else "running"),
-        "doing": engine.doing,
+        "doing": engine.attempts.doing,
         "campaign": record.id if record else None,
         "name": record.name if record else None,
         "reason": record.reason if record else None,
@@ -28,8 +28,8 @@ def status_of(engine: Engine) -> dict[str, Any]:
         "captures_total": None,
         "left_s": None,
         "largest_mm": engine.largest_mm,
-        "faults": engine.faults,
-        "last_fault": engine.last_fault,
+        "faults": engine.reporter.faults,
+        "last_fault": engine.reporter.last_fault,
         "queue": records.count_campaigns(journal, "queued"),
         "measuring": engine.measuring.waiting,
         "table": "moving" if engine.lab.table.excitation is not None else "rest",

@@ -1,0 +1,174 @@
+"""One step through all its attempts: faults, and what `on_fault` makes of them.
+
+There is one way out of every interruption, a fault, a wish, an interlock or kill -9 alike: the table to rest, then
+`labdaemon.capture.recover` settles what was in flight, then the step is walked again from what the journal says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+
+from labdaemon.campaign.control import Control, Interrupted
+from labdaemon.campaign.measuring import Measuring
+from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.steps import Step
+from labdaemon.campaign.walk import Walker
+from labdaemon.campaign.windows import POLL_S, wait_s
+from labdaemon.capture.capture import Lab
+from labdaemon.capture.recover import reconnect_lost, recover
+from labdaemon.errors import InterlockError, LabdaemonError
+from labdaemon.journal import transitions
+from labdaemon.journal.storage import StorageFull
+
+MAX_BACKOFF_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """How patient the engine is.
+
+    Attributes
+    ----------
+    max_tries
+        Attempts at a step under ``on_fault = "retry"`` before the campaign is paused.
+    backoff_s
+        Wait before the second attempt; doubled for each further one, up to a minute.
+    accept_changed_rig
+        Go on with campaigns that were planned for another rig file.
+    window_s
+        Frames of one outside release arrive from all cameras within this time.
+    """
+
+    max_tries: int = 4
+    backoff_s: float = 2.0
+    accept_changed_rig: bool = False
+    window_s: float = 5.0
+
+    def pause_s(self, failures: int) -> float:
+        """Wait after this many failures in a row."""
+        return float(min(self.backoff_s * 2.0 ** (failures - 1), MAX_BACKOFF_S))
+
+
+class Attempts:
+    """Walks steps, again where need be.
+
+    Parameters
+    ----------
+    lab
+        The rig and the journal.
+    control
+        Where wishes and interlocks arrive.
+    """
+
+    def __init__(self, lab: Lab, measuring: Measuring, control: Control, reporter: Reporter, policy: Policy) -> None:
+        self._lab, self._measuring, self._control = lab, measuring, control
+        self._reporter, self._policy = reporter, policy
+        self.needs_recovery = True
+        """Something may be in flight that nobody looks after: at the start, and after every interruption."""
+        self.doing = "starting"
+        """In a word or two, for status."""
+
+    async def do(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
+        """A step to its end, or until somebody wants something else (see `Control.wish`)."""
+        failures = 0
+        while self._control.wish == "go":
+            try:
+                if self.needs_recovery:
+                    await self.settle_down(campaign, step)
+                await self._walk(campaign, step, guard)
+            except Interrupted:
+                self.needs_recovery = True
+                return
+            except StorageFull as exc:
+                await self.leave()
+                await self._reporter.fault(exc, campaign=campaign, step=step, action="wait for room")
+                self.doing = "waiting for disk space"
+                await self._reporter.wait_for_room()
+            except LabdaemonError as exc:
+                failures += 1
+                if not await self._retries(campaign, step, exc, failures):
+                    return
+            else:
+                return
+
+    async def settle_down(self, campaign: str | None, step: Step | None) -> None:
+        """Complete or give up whatever was in flight, reaching for lost cameras again.
+
+        Raises
+        ------
+        DeviceError
+            A camera stays lost, and a campaign waits for it.
+        """
+        self.doing = "recovering"
+        failures = 0
+        while True:
+            try:
+                if failures:
+                    await reconnect_lost(self._lab)
+                for capture in await recover(self._lab):
+                    await self._measuring.add(capture)
+            except StorageFull:
+                await self._reporter.wait_for_room()
+            except LabdaemonError as exc:
+                failures += 1
+                if campaign is not None and failures >= self._policy.max_tries:
+                    raise
+                await self._reporter.fault(exc, campaign=campaign, step=step, action="try again")
+                await self._lab.clock.sleep(self._policy.pause_s(failures))
+            else:
+                self.needs_recovery = False
+                return
+
+    async def leave(self) -> None:
+        """Table to rest before anything else; what was in flight is settled before the next step."""
+        self.needs_recovery = True
+        await self._lab.table.stop()
+
+    async def _walk(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
+        await self._wait_for_window(step, guard)
+        self.doing = step.kind
+        write = self._lab.recorder.write
+        told = {"label": step.label, "kind": step.kind}
+        excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
+        await write(transitions.start_step, campaign, step.index, {**told, **excitation})
+        control = self._control
+        walker = Walker(
+            self._lab, campaign, self._measuring.add, control.fired, control.ended, window_s=self._policy.window_s
+        )
+        await control.walk(walker.walk(step), guard)
+        await write(transitions.end_step, campaign, step.index, told)
+
+    async def _retries(self, campaign: str, step: Step, exc: LabdaemonError, failures: int) -> bool:
+        """What a fault means for the step; False when it is over for now."""
+        action = step.on_fault
+        if action == "retry" and (isinstance(exc, InterlockError) or failures >= self._policy.max_tries):
+            action = "pause"
+        try:
+            await self.leave()
+        except InterlockError as worse:
+            await self._reporter.fault(worse, campaign=campaign, step=step, action="pause")
+            action = "pause"
+        await self._reporter.fault(exc, campaign=campaign, step=step, action=action)
+        self._control.tripped = None
+        match action:
+            case "retry":
+                await self._lab.clock.sleep(self._policy.pause_s(failures))
+                return True
+            case "skip":
+                told = {"label": step.label, "kind": step.kind}
+                await self._reporter.when_there_is_room(
+                    lambda: self._lab.recorder.write(transitions.end_step, campaign, step.index, told, str(exc))
+                )
+            case _ if self._control.wish == "go":
+                self._control.want(action, str(exc))
+        return False
+
+    async def _wait_for_window(self, step: Step, guard: asyncio.Task[None]) -> None:
+        while (left_s := wait_s(self._lab.clock.now().astimezone(), step.not_before, step.not_after)) > 0.0:
+            self.doing = f"waiting until {step.not_before or '00:00'}"
+            if self._lab.table.excitation is not None:
+                await self._lab.table.stop()
+            await self._control.wait(guard, min(left_s, POLL_S))
+            if self._control.wish != "go":
+                raise Interrupted

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import pytest
+
+from labdaemon.errors import DataError
+from labdaemon.journal.frames import move_durably, part_of, remove_parts, seal, write_durably
+from labdaemon.journal.storage import StorageFull
+
+
+def test_a_sealed_frame_is_whole_hashed_and_under_its_final_name(tmp_path: Path):
+    path = tmp_path / "captures" / "one" / "left.dng"
+    content = os.urandom(3_000_000)
+    part_of(path).write_bytes(content)
+    assert seal(path, len(content)) == (len(content), hashlib.sha256(content).hexdigest())
+    assert path.read_bytes() == content
+    assert not part_of(path).exists()
+
+
+def test_a_frame_of_another_size_is_refused_and_its_part_removed(tmp_path: Path):
+    path = tmp_path / "left.dng"
+    part_of(path).write_bytes(b"short")
+    with pytest.raises(DataError, match="has 5 bytes, the camera said 6"):
+        seal(path, 6)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_sync_comes_before_the_rename_and_the_folders_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    done: list[str] = []
+    fsync, rename = os.fsync, Path.rename
+    monkeypatch.setattr(os, "fsync", lambda fd: (done.append(os.readlink(f"/proc/self/fd/{fd}")), fsync(fd))[1])
+    monkeypatch.setattr(Path, "rename", lambda path, to: (done.append("rename"), rename(path, to))[1])
+    path = tmp_path / "left.dng"
+    part_of(path).write_bytes(b"frame")
+    seal(path)
+    assert done == [str(part_of(path)), "rename", str(tmp_path)]
+
+
+def test_strays_are_found_wherever_they_are(tmp_path: Path):
+    for name in ("a/left.dng.part", "b.part", "c.dng"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    assert [path.name for path in remove_parts(tmp_path)] == ["left.dng.part", "b.part"]
+    assert (tmp_path / "c.dng").exists()
+
+
+def test_a_small_file_is_replaced_whole(tmp_path: Path):
+    path = tmp_path / "deep" / "capture.toml"
+    write_durably(path, "one")
+    write_durably(path, "two")
+    assert path.read_text() == "two"
+    assert [file.name for file in path.parent.iterdir()] == ["capture.toml"]
+
+
+def test_a_full_disk_says_so():
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    with pytest.raises(StorageFull), open("/dev/full", "wb", buffering=0) as file:
+        from labdaemon.journal.storage import as_data_error
+
+        try:
+            file.write(b"x")
+        except OSError as exc:
+            raise as_data_error(exc, Path("/dev/full")) from exc
+
+
+def test_a_moved_frame_is_gone_from_its_old_place(tmp_path: Path):
+    old, new = tmp_path / "left.dng", tmp_path / "set_aside" / "x" / "left.dng"
+    old.write_bytes(b"frame")
+    move_durably(old, new)
+    assert new.read_bytes() == b"frame"
+    assert not old.exists()
