@@ -1,56 +1,122 @@
-"""`labdaemon demo`: the main job without hardware, measured against a truth that only the simulator knows."""
+"""`labdaemon demo`: the main job without hardware, compared with a truth that only the simulator knows."""
 
 from __future__ import annotations
 
 import math
+import signal
+import time
 from collections.abc import Iterable
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from labdaemon.errors import UsageError
+from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.report.accuracy import FLOOR_MM, Accuracy, summary
+
+THREE_MODES = """\
+# The first three modes of a four-storey frame: at rest, then one second at each resonance.
+name = "three-modes"
+
+[[phase]]
+kind = "sharp"
+frames = 3
+
+[[phase]]
+kind = "steps"
+frequency_hz = [5.0, 8.0, 12.0]
+amplitude_mm = [2.0, 1.0, 0.5]        # of the table, zero to peak
+captures = 1
+exposure_s = 1.0                      # the plan takes the camera's step nearest to whole cycles
+settle = { max_change_per_cycle = 0.001, timeout_s = 60 }
+on_fault = "retry"
+"""
+"""As `config/campaigns/three-modes.toml` has it."""
 
 
 @click.command()
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Where to leave everything. [default: labdaemon-demo]",
+    help="Where to leave everything; labdaemon-demo if not given.",
 )
-def demo(out: Path | None) -> None:
-    """Photographs of a shaken frame are rendered, measured and compared with the truth. Needs no hardware."""
-    from labdaemon.processing import process_folder
-    from labdaemon.report.accuracy import read_truth
+@click.option(
+    "--campaign",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="A campaign file; the first three modes of the simulated frame if not given.",
+)
+def demo(out: Path | None, campaign: Path | None) -> None:
+    """Run a campaign on a simulated rig, and compare the results with what the rig truly did. Needs no hardware.
+
+    Rig and daemon run as processes of their own; the daemon reaches the rig through the devices' real protocols.
+    """
+    from labdaemon.campaign.campaign_file import load_campaign
+
+    text = load_campaign(campaign if campaign is not None else THREE_MODES).toml
+    out = free_folder(out)
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        _demo(out, text)
+    except LabdaemonError:
+        click.echo(f"labdaemon: the log is {out / 'daemon.log'}", err=True)
+        raise
+
+
+def _demo(out: Path, text: str) -> None:
+    from labdaemon.cli.demo_lab import laboratory
+    from labdaemon.cli.demo_results import check_same_numbers, draw_overlays, link_folder, truth_of, write_truth
     from labdaemon.report.folder_page import report_folder
 
-    folder = free_folder(out)
-    click.echo(f"Rendering photographs into {folder} …")
-    simulator("folder")(folder, captures=2)
-    click.echo("Measuring …")
-    process_folder(folder)
-    page, accuracies = report_folder(
-        folder, title="labdaemon demo", subtitle="Rendered photographs", truth=read_truth(folder / "truth.csv")
+    began = time.monotonic()
+    click.echo(f"Starting the simulated rig and the daemon in {out} …")
+    with laboratory(out) as lab:
+        folder, envelopes = _run_campaign(lab, text)
+        records = lab.rig.truth()
+    results = folder / "results"
+    truth = truth_of(envelopes, records)
+    rows = check_same_numbers(envelopes, results)
+    link_folder(out, folder)
+    write_truth(out / "truth.csv", truth)
+    draw_overlays(folder, results)
+    _, accuracies = report_folder(
+        folder, title=f"Campaign {folder.name}", subtitle="labdaemon demo on the simulated rig", truth=truth
     )
+    click.echo(f"\nEnvelopes as received and as stored agree in all of {rows} targets.")
     for line in accuracy_lines(accuracies):
         click.echo(line)
-    click.echo(f"Results: {folder / 'results'}\nReport:  {page}")
+    click.echo(
+        f"\nResults  {out / 'results'}\nReport   {out / 'results' / 'index.html'}\nTook     {time.monotonic() - began:.0f} s"
+    )
 
 
-def simulator(name: str) -> Any:
-    """What the entry point group ``labdaemon.simulators`` has under a name.
+def _run_campaign(lab: Any, text: str) -> tuple[Path, list[dict[str, Any]]]:
+    """Submit it and follow it to its end; its folder, and the data of its envelopes."""
+    from labdaemon.cli.demo_lab import DemoFailed
+    from labdaemon.cli.progress import Progress
+    from labdaemon.stream.client import NoDaemon
 
-    Raises
-    ------
-    UsageError
-        The simulators are not installed.
-    """
-    found = entry_points(group="labdaemon.simulators")
-    if name not in found.names:
-        raise UsageError(f"the simulators are not installed (no entry point labdaemon.simulators:{name})")
-    return found[name].load()
+    envelopes: list[dict[str, Any]] = []
+    submitted = lab.client.call("campaign.submit", toml=text)
+    with Progress() as progress:
+        try:
+            for event in lab.client.events(after=0):
+                progress.show(event)
+                if event["campaign"] != submitted["campaign"]:
+                    continue
+                if event["kind"] == "envelope":
+                    envelopes.append(event["data"])
+                elif event["kind"] == "campaign.completed":
+                    break
+                elif event["kind"] in {"campaign.failed", "campaign.aborted"}:
+                    raise DemoFailed(f"{event['kind']}: {event['data'].get('reason', 'see the log')}")
+        except NoDaemon:
+            lab.check()
+            raise
+    return Path(submitted["folder"]), envelopes
+
+
+def _interrupt(number: int, frame: Any) -> NoReturn:
+    raise KeyboardInterrupt
 
 
 def free_folder(asked: Path | None) -> Path:
@@ -59,20 +125,19 @@ def free_folder(asked: Path | None) -> Path:
     Raises
     ------
     UsageError
-        The one asked for holds something already.
+        The one asked for holds something already, or cannot be made.
     """
     if asked is None:
-        base, number = Path("labdaemon-demo"), 1
-        asked = base
+        asked, number = Path("labdaemon-demo"), 1
         while asked.exists():
             number += 1
-            asked = Path(f"{base}-{number}")
-    elif asked.exists() and any(asked.iterdir()):
-        raise UsageError(f"{asked} is not empty; give --out a new folder")
+            asked = Path(f"labdaemon-demo-{number}")
     try:
+        if asked.exists() and any(asked.iterdir()):
+            raise UsageError(f"{asked} is not empty; give --out a new folder")
         asked.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
-        raise UsageError(f"{asked} cannot be made: {exc.strerror}") from None
+        raise UsageError(f"{asked} cannot be used: {exc.strerror}") from None
     return asked.resolve()
 
 
@@ -80,9 +145,9 @@ def accuracy_lines(accuracies: Iterable[Accuracy]) -> list[str]:
     """A table of errors in text, pooled in its last line."""
     known = list(accuracies)
     pooled = summary("all", [pair for one in known for pair in one.pairs])
-    head = f"{'capture':<22}{'targets':>8}{'unflagged':>10}{'compared':>9}{'mean mm':>10}{'sd mm':>9}{'95 % mm':>9}"
+    head = f"{'capture':<24}{'targets':>8}{'unflagged':>10}{'compared':>9}{'mean mm':>10}{'sd mm':>9}{'95 % mm':>9}"
     lines = [
-        f"{one.capture:<22}{one.targets:>8}{one.unflagged:>10}{one.compared:>9}"
+        f"{one.capture:<24}{one.targets:>8}{one.unflagged:>10}{one.compared:>9}"
         f"{_number(one.mean_mm, '+.4f'):>10}{_number(one.sd_mm, '.4f'):>9}{_number(one.p95_mm, '.4f'):>9}"
         for one in [*known, pooled]
     ]
