@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.errors import DataError, UsageError
-from labdaemon.imaging.edges import corner, fit_side
+from labdaemon.imaging.edges import corners_of, fit_side
 from labdaemon.imaging.frame import RawFrame
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Tag:
     corners_px
         (4, 2) outer corners of the black square, clockwise in the picture from the tag's own top-left.
     covariance_px2
-        (4, 2, 2) of each corner; NaN where the sides could not be fitted and OpenCV's corners stay.
+        (8, 8) of the corners' x0, y0, x1 …; NaN where the sides could not be fitted and OpenCV's corners stay.
     """
 
     name: str
@@ -47,8 +47,13 @@ class Tag:
 
     @property
     def sd_px(self) -> float:
-        """Standard deviation of the centre in each coordinate (corners taken as independent)."""
-        return float(np.sqrt(np.trace(self.covariance_px2.sum(axis=0)) / 2.0) / 4.0)
+        """Standard deviation of the centre, mean of both coordinates; NaN where the sides could not be fitted."""
+        moves = np.empty((2, 8))
+        for k in range(8):
+            nudge = np.zeros((4, 2))
+            nudge[divmod(k, 2)] = 0.01
+            moves[:, k] = (centre_of(self.corners_px + nudge) - centre_of(self.corners_px - nudge)) / 0.02
+        return float(np.sqrt(np.trace(moves @ self.covariance_px2 @ moves.T) / 2.0))
 
 
 def centre_of(corners: FloatArray) -> FloatArray:
@@ -145,15 +150,18 @@ def _near(one: Tag, other: Tag) -> bool:
 def _read(frame: RawFrame, book: cv2.aruco.Dictionary) -> list[tuple[int, FloatArray]]:
     """(number, (4, 2) corners within about a pixel) as OpenCV sees them, at full and at half resolution.
 
-    Half resolution averages the mosaic and the noise and lets large tags fit the adaptive threshold's windows.
+    A slight blur takes out the mosaic's pattern, hot pixels and noise; half resolution lets large tags fit the adaptive
+    threshold's windows.
     """
     light = cv2.sqrt(np.maximum(frame.grey(), 0.0))
     peak = float(np.percentile(light[::7, ::7], 99.5)) or 1.0
-    full = cv2.convertScaleAbs(light, alpha=255.0 / peak)
+    full = cv2.GaussianBlur(cv2.convertScaleAbs(light, alpha=255.0 / peak), (0, 0), 0.8)
     half = cv2.resize(full, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     settings.minMarkerPerimeterRate = 80.0 / max(full.shape)
+    # At its default OpenCV drops a tag for the outline of the card it is printed on; twins are sorted out here.
+    settings.minMarkerDistanceRate = 0.02
     detector = cv2.aruco.ArucoDetector(book, settings)
     found: list[tuple[int, FloatArray]] = []
     for image, back in ((full, _identity), (half, _doubled)):
@@ -179,7 +187,7 @@ def _doubled(points: FloatArray) -> FloatArray:
 
 def _measure(frame: RawFrame, number: int, rough: FloatArray, cells: int) -> Tag | None:
     """Fit the four sides, twice, the second time from the first one's corners; None if it is no tag."""
-    corners, covariances = rough, np.full((4, 2, 2), np.nan)
+    corners, covariance = rough, np.full((8, 8), np.nan)
     for _ in range(2):
         low, high = np.floor(corners.min(axis=0)).astype(int) - 8, np.ceil(corners.max(axis=0)).astype(int) + 9
         patch = frame.patch(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
@@ -194,9 +202,8 @@ def _measure(frame: RawFrame, number: int, rough: FloatArray, cells: int) -> Tag
             return None
         if len(fitted) < 4:
             break
-        meets = [corner(fitted[k - 1], fitted[k]) for k in range(4)]
-        if any(meet is None or np.hypot(*(meet[0] - old)) > 4.0 for meet, old in zip(meets, corners, strict=True)):
+        met = corners_of(fitted)
+        if met is None or np.hypot(*(met[0] - corners).T).max() > 4.0:
             break
-        points = [meet for meet in meets if meet is not None]
-        corners, covariances = np.stack([p for p, _ in points]), np.stack([c for _, c in points])
-    return Tag(str(number), centre_of(corners), corners, covariances)
+        corners, covariance = met
+    return Tag(str(number), centre_of(corners), corners, covariance)

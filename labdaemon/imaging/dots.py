@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 
 RAYS = 48
 STEPS = 40
+MIN_SEMI_MINOR_PX = 3.0
+"""Below it the blur of lens and pixel leaves no shape to judge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +33,8 @@ class Limits:
     contrast
         Least part of the paper's brightness by which the ink is darker.
     ink_spread, ink_sd
-        Largest deviation (4th or 96th percentile from the median) and standard deviation within the ink, in parts of the
-        contrast.
+        Largest deviation (4th or 96th percentile) and standard deviation within the ink, less an even sheen, in parts
+        of the contrast.
     ring_ratio
         Largest ratio, either way, of the paper's brightness on any ray to its median: shaded and shining labels stay.
     out_of_round, out_of_round_px
@@ -94,8 +96,12 @@ def find_dots(
     heads and discs on a dark ground.
     """
     grey = frame.grey() if isinstance(frame, RawFrame) else np.ascontiguousarray(frame, dtype=np.float32)
-    blobs = find_blobs(grey, diameter_range_px)
-    checked = [c for c in (_check(grey, blob, limits) for blob in blobs) if c is not None]
+    checked: list[_Candidate] = []
+    for blob in find_blobs(grey, diameter_range_px):
+        if not any(_same(blob, c.shape) for c in checked):
+            candidate = _check(grey, blob, limits)
+            if candidate is not None:
+                checked.append(candidate)
     low, high = diameter_range_px
     checked = [c for c in checked if 0.95 * low <= 2.0 * c.shape.semi_major_px <= 1.05 * high]
     kept = _white_enough(grey, _distinct(checked), limits)
@@ -115,6 +121,12 @@ def find_dots(
     ]
 
 
+def _same(blob: Ellipse, found: Ellipse) -> bool:
+    """Whether a blob is a dot that has been found at another threshold or reduction."""
+    apart = np.hypot(blob.x_px - found.x_px, blob.y_px - found.y_px)
+    return bool(apart < 0.2 * found.semi_minor_px and 0.8 < blob.mean_radius_px / found.mean_radius_px < 1.25)
+
+
 def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
     """Fit the edge and hold it against `limits`; None if it is no dot."""
     shape, reach = blob, 0.45
@@ -123,7 +135,7 @@ def _check(grey: Grey, blob: Ellipse, limits: Limits) -> _Candidate | None:
         # The ring reaches 45 % beyond the edge at first, since a blob's own ellipse is off by its threshold and
         # reduction; then as far as the edge's blur and the fit need.
         r = shape.mean_radius_px
-        if not 3.0 <= r <= 400.0 or shape.semi_minor_px < 2.0:
+        if not 3.0 <= r <= 400.0 or shape.semi_minor_px < MIN_SEMI_MINOR_PX:
             return None
         span = max(reach, 3.5 / r)
         scales = _steps(0.0 if reach > 0.4 else max(1.0 - span, 0.0), 1.0 + span, STEPS)
@@ -156,7 +168,8 @@ def _even(grey: Grey, shape: Ellipse, rms: float, limits: Limits) -> _Candidate 
     angles = _steps(0.0, 2.0 * np.pi, RAYS + 1)[:-1]
     r = shape.semi_minor_px
     clear = max(0.15, 1.8 / r)
-    inner = _sample(grey, shape.points(angles[:, None], _steps(0.0, max(1.0 - clear, 0.2), 8)[None, :]))
+    scales = _steps(0.0, max(1.0 - clear, 0.2), 8)
+    inner = _sample(grey, shape.points(angles[:, None], scales[None, :]))
     outer = _sample(
         grey, shape.points(angles[:, None], np.linspace(1.0 + clear, 1.0 + max(2.0 * clear, 0.3), 4)[None, :])
     )
@@ -166,14 +179,24 @@ def _even(grey: Grey, shape: Ellipse, rms: float, limits: Limits) -> _Candidate 
     contrast = paper - ink
     if contrast < limits.contrast * paper:
         return None
-    low, high = np.percentile(inner, (4.0, 96.0))
-    if max(high - ink, ink - low) > limits.ink_spread * contrast or inner.std() > limits.ink_sd * contrast:
+    rough = _without_sheen(inner, angles, scales)
+    if np.abs(np.percentile(rough, (4.0, 96.0))).max() > limits.ink_spread * contrast:
+        return None
+    if rough.std() > limits.ink_sd * contrast:
         return None
     ring = outer.mean(axis=1)
     uneven = (ring * limits.ring_ratio < paper) | (ring > limits.ring_ratio * paper) | (ring - ink < 0.4 * contrast)
     if uneven.sum() > 0.04 * RAYS:
         return None
     return _Candidate(shape, paper, ink, rms)
+
+
+def _without_sheen(inner: FloatArray, angles: FloatArray, scales: FloatArray) -> FloatArray:
+    """Ink's brightness less a plane through it: glossy ink reflects unevenly, but smoothly."""
+    x, y = np.cos(angles)[:, None] * scales, np.sin(angles)[:, None] * scales
+    design = np.stack([np.ones_like(x), x, y], axis=-1).reshape(-1, 3)
+    plane = np.linalg.lstsq(design, inner.ravel(), rcond=None)[0]
+    return np.asarray(inner - (design @ plane).reshape(inner.shape))
 
 
 def _steps(first: float, last: float, count: int) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,11 +57,6 @@ class Side:
         u = float((point - middle) @ self.tangent / half)
         return u, float((point - middle) @ self.normal - np.polyval(self.offset_px[::-1], u))
 
-    def sd_px(self, u: float) -> float:
-        """Standard deviation of the side's place at u."""
-        row = np.array([1.0, u, u * u])
-        return float(np.sqrt(max(row @ self.covariance_px2 @ row, 0.0)))
-
 
 def fit_side(patch: Patch, start_px: FloatArray, end_px: FloatArray, *, band_px: float, guard_px: float) -> Side | None:
     """Fit the edge between dark inside and white outside along one side of a clockwise quadrilateral.
@@ -100,24 +96,32 @@ def fit_side(patch: Patch, start_px: FloatArray, end_px: FloatArray, *, band_px:
     if chosen.sum() < 40:
         return None
     u, d, value, channel = along[chosen] / (length / 2.0), across[chosen], patch.values[chosen], patch.channel[chosen]
-    present, which = np.unique(channel, return_inverse=True)
-    levels = _start_levels(d, value, which, len(present), band_px)
-    if levels is None:
+    levels: list[FloatArray] = []
+    keep = np.zeros(len(value), dtype=np.bool_)
+    which = np.zeros(len(value), dtype=np.intp)
+    for k in np.unique(channel):
+        of_channel = channel == k
+        # Where paper is clipped, only the noise's dark half remains of it: better without that channel.
+        outside = np.abs(along) <= length / 2.0 - guard_px
+        outside &= (across > 0.0) & (across <= band_px) & (patch.channel == k)
+        level = _start_level(d[of_channel], value[of_channel], band_px)
+        if level is not None and patch.valid[outside].mean() > 0.9:
+            which[of_channel] = len(levels)
+            levels.append(level)
+            keep |= of_channel
+    if keep.sum() < 40:
         return None
-    return _gauss_newton(start_px, end_px, u, d, value, which, levels, curved=length >= 40.0, band_px=band_px)
+    u, d, value, which = u[keep], d[keep], value[keep], which[keep]
+    return _gauss_newton(start_px, end_px, u, d, value, which, np.array(levels), curved=length >= 40.0, band_px=band_px)
 
 
-def _start_levels(
-    d: FloatArray, value: FloatArray, which: NDArray[np.intp], count: int, band_px: float
-) -> FloatArray | None:
-    """(count, 2) ink and paper of each channel from the outer thirds of the band; None without contrast."""
-    levels = np.empty((count, 2))
-    for k in range(count):
-        inside, outside = value[(which == k) & (d < -band_px / 3)], value[(which == k) & (d > band_px / 3)]
-        if not inside.size or not outside.size:
-            return None
-        levels[k] = np.median(inside), np.median(outside)
-    return levels if bool(np.all(levels[:, 1] > levels[:, 0])) else None
+def _start_level(d: FloatArray, value: FloatArray, band_px: float) -> FloatArray | None:
+    """(2,) ink and paper of a channel from the outer thirds of the band; None without contrast."""
+    inside, outside = value[d < -band_px / 3], value[d > band_px / 3]
+    if not inside.size or not outside.size:
+        return None
+    ink, paper = float(np.median(inside)), float(np.median(outside))
+    return np.array([ink, paper]) if paper > ink else None
 
 
 def _gauss_newton(
@@ -169,19 +173,30 @@ def _gauss_newton(
     return Side(start_px, end_px, offset, covariance, contrast)
 
 
-def corner(before: Side, after: Side) -> tuple[FloatArray, FloatArray] | None:
-    """Where one side ends and the next begins: (2,) point and its (2, 2) covariance, px².
+def corners_of(sides: Sequence[Side]) -> tuple[FloatArray, FloatArray] | None:
+    """Where each of four sides meets the one before it.
 
-    None where the sides are nearly parallel or do not meet near their ends.
+    Returns
+    -------
+    (4, 2) corners, px, the first at the start of the first side, and the (8, 8) covariance of x0, y0, x1 … (px²), which
+    carries that neighbours share a side; None where two sides are nearly parallel.
     """
-    point = np.asarray(before.end_px, dtype=np.float64)
-    normals = np.stack([before.normal, after.normal])
-    if abs(np.linalg.det(normals)) < 0.1:
-        return None
-    for _ in range(4):
-        distances = np.array([before.place(point)[1], after.place(point)[1]])
-        point = point - np.linalg.solve(normals, distances)
-    u_before, u_after = before.place(point)[0], after.place(point)[0]
-    inverse = np.linalg.inv(normals)
-    variance = np.diag([before.sd_px(u_before) ** 2, after.sd_px(u_after) ** 2])
-    return point, inverse @ variance @ inverse.T
+    corners, jacobian = np.empty((4, 2)), np.zeros((8, 12))
+    for k in range(4):
+        before, after = sides[k - 1], sides[k]
+        normals = np.stack([before.normal, after.normal])
+        if abs(np.linalg.det(normals)) < 0.1:
+            return None
+        point = np.asarray(after.start_px, dtype=np.float64)
+        for _ in range(4):
+            distances = np.array([before.place(point)[1], after.place(point)[1]])
+            point = point - np.linalg.solve(normals, distances)
+        corners[k] = point
+        inverse = np.linalg.inv(normals)
+        for column, (side, index) in enumerate(((before, (k - 1) % 4), (after, k))):
+            u = side.place(point)[0]
+            jacobian[2 * k : 2 * k + 2, 3 * index : 3 * index + 3] = np.outer(inverse[:, column], [1.0, u, u * u])
+    variance = np.zeros((12, 12))
+    for k, side in enumerate(sides):
+        variance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = side.covariance_px2
+    return corners, jacobian @ variance @ jacobian.T
