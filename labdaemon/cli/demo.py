@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+import shutil
 import signal
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.report.accuracy import FLOOR_MM, Accuracy, summary
+
+if TYPE_CHECKING:
+    from labdaemon.cli.demo_lab import Lab
 
 THREE_MODES = """\
 # The first three modes of a four-storey frame: at rest, then one second at each resonance.
@@ -56,13 +60,16 @@ def demo(out: Path | None, campaign: Path | None) -> None:
     out = free_folder(out)
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        _demo(out, text)
-    except LabdaemonError:
-        click.echo(f"labdaemon: the log is {out / 'daemon.log'}", err=True)
+        _demo(out, text, attended=campaign is not None)
+    except LabdaemonError as exc:
+        if exc.exit_status == UsageError.exit_status:
+            shutil.rmtree(out)  # nothing was begun
+        else:
+            click.echo(f"the daemon's log is {out / 'daemon.log'}", err=True)
         raise
 
 
-def _demo(out: Path, text: str) -> None:
+def _demo(out: Path, text: str, *, attended: bool) -> None:
     from labdaemon.cli.demo_lab import laboratory
     from labdaemon.cli.demo_results import check_same_numbers, draw_overlays, link_folder, truth_of, write_truth
     from labdaemon.report.folder_page import report_folder
@@ -70,48 +77,46 @@ def _demo(out: Path, text: str) -> None:
     began = time.monotonic()
     click.echo(f"Starting the simulated rig and the daemon in {out} …")
     with laboratory(out) as lab:
-        folder, envelopes = _run_campaign(lab, text)
+        folder, envelopes = _run_campaign(lab, text, attended=attended)
         records = lab.rig.truth()
-    results = folder / "results"
     truth = truth_of(envelopes, records)
-    rows = check_same_numbers(envelopes, results)
+    rows = check_same_numbers(envelopes, folder / "results")
     link_folder(out, folder)
     write_truth(out / "truth.csv", truth)
-    draw_overlays(folder, results)
+    draw_overlays(folder, folder / "results")
     _, accuracies = report_folder(
         folder, title=f"Campaign {folder.name}", subtitle="labdaemon demo on the simulated rig", truth=truth
     )
     click.echo(f"\nEnvelopes as received and as stored agree in all of {rows} targets.")
     for line in accuracy_lines(accuracies):
         click.echo(line)
-    click.echo(
-        f"\nResults  {out / 'results'}\nReport   {out / 'results' / 'index.html'}\nTook     {time.monotonic() - began:.0f} s"
-    )
+    click.echo(f"\nResults  {out / 'results'}\nReport   {out / 'results' / 'index.html'}")
+    click.echo(f"Took     {time.monotonic() - began:.0f} s")
 
 
-def _run_campaign(lab: Any, text: str) -> tuple[Path, list[dict[str, Any]]]:
+def _run_campaign(lab: Lab, text: str, *, attended: bool) -> tuple[Path, list[dict[str, Any]]]:
     """Submit it and follow it to its end; its folder, and the data of its envelopes."""
     from labdaemon.cli.demo_lab import DemoFailed
     from labdaemon.cli.progress import Progress
-    from labdaemon.stream.client import NoDaemon
 
     envelopes: list[dict[str, Any]] = []
     submitted = lab.client.call("campaign.submit", toml=text)
     with Progress() as progress:
-        try:
-            for event in lab.client.events(after=0):
-                progress.show(event)
-                if event["campaign"] != submitted["campaign"]:
-                    continue
-                if event["kind"] == "envelope":
+        for event in lab.events():
+            progress.show(event)
+            if event["campaign"] != submitted["campaign"]:
+                continue
+            match event["kind"]:
+                case "envelope":
                     envelopes.append(event["data"])
-                elif event["kind"] == "campaign.completed":
+                case "campaign.completed":
                     break
-                elif event["kind"] in {"campaign.failed", "campaign.aborted"}:
-                    raise DemoFailed(f"{event['kind']}: {event['data'].get('reason', 'see the log')}")
-        except NoDaemon:
-            lab.check()
-            raise
+                case "campaign.paused" if attended:
+                    click.echo(f"go on with: labdaemon resume --address {lab.client.commands_address}")
+                case "campaign.failed" | "campaign.aborted" | "campaign.paused":
+                    raise DemoFailed(f"{event['kind']}: {event['data'].get('reason') or 'the log may tell why'}")
+    if not envelopes:
+        raise DemoFailed("the campaign completed without a single envelope")
     return Path(submitted["folder"]), envelopes
 
 

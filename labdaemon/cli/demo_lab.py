@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from labdaemon.errors import LabdaemonError, UsageError
-from labdaemon.stream.client import Client
+from labdaemon.stream.client import Client, EventStream
 
 READY_S = 60.0
 """Longest that the daemon may take to serve."""
+SILENT_S = 60.0
+"""A daemon that is not heard for so long hangs; a busy machine alone delays heartbeats by seconds."""
 END_S = 20.0
 """Longest that the daemon may take to bring the table to rest and end."""
 
@@ -63,17 +65,29 @@ class Lab:
         self.rig, self.client = rig, client
         self._daemon = daemon
 
-    def check(self) -> None:
-        """Raise if the daemon has ended.
+    def events(self) -> Iterator[dict[str, Any]]:
+        """The journal's events from its beginning, for as long as the daemon lives.
 
         Raises
         ------
         DemoFailed
-            It has.
+            The daemon has ended, or has been silent for too long.
         """
-        status = self._daemon.poll()
-        if status is not None:
-            raise DemoFailed(f"the daemon ended with exit status {status}")
+        stream = EventStream(self.client, after=0)
+        heard = time.monotonic()
+        try:
+            while True:
+                event = stream.receive(1.0)
+                status = self._daemon.poll()
+                if event is not None:
+                    heard = time.monotonic()
+                    yield event
+                elif status is not None:
+                    raise DemoFailed(f"the daemon ended with exit status {status}")
+                elif time.monotonic() > heard + SILENT_S:
+                    raise DemoFailed(f"the daemon has been silent for {SILENT_S:g} s")
+        finally:
+            stream.close()
 
 
 @contextlib.contextmanager

@@ -78,7 +78,7 @@ def check_same_numbers(received: Sequence[Mapping[str, Any]], results: Path) -> 
     """
     stored = envelopes(results)
     sent = {envelope["capture"]: envelope["targets"] for envelope in received}
-    if list(sent) != list(stored):
+    if set(sent) != set(stored):
         raise DemoFailed(f"envelopes came for {', '.join(sent)}, but {results} has {', '.join(stored)}")
     for capture, rows in stored.items():
         for row, target in zip(rows, sent[capture], strict=True):

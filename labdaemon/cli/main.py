@@ -28,6 +28,7 @@ COMMANDS = {
     "measure": "labdaemon.cli.measure:measure",
     "process": "labdaemon.cli.process:process",
     "calibrate": "labdaemon.cli.calibrate:calibrate",
+    "report": "labdaemon.cli.report:report",
     "targets": "labdaemon.cli.targets:targets",
     "bench": "labdaemon.cli.bench:bench",
 }

@@ -169,7 +169,7 @@ def _legend(left: float, top: float, largest: float, scale: float) -> list[str]:
     return parts
 
 
-def errors_svg(captures: Mapping[str, Iterable[Pair]], *, width: float = 640.0, height: float = 260.0) -> str:
+def errors_svg(captures: Mapping[str, Iterable[Pair]], *, width: float = 760.0, height: float = 260.0) -> str:
     """Error over true semi-amplitude for every compared target, with a bar of one standard deviation as reported."""
     points = [
         (name, pair)
@@ -179,7 +179,7 @@ def errors_svg(captures: Mapping[str, Iterable[Pair]], *, width: float = 640.0, 
     ]
     if not points:
         return "<p>Nothing to compare.</p>"
-    left, right, top, bottom = 64.0, width - 150.0, 14.0, height - 40.0
+    left, right, top, bottom = 64.0, width - 190.0, 14.0, height - 40.0
     most = max(pair.true_mm for _, pair in points) * 1.05 or 1.0
     reach = max(abs(pair.error_mm or 0.0) + (pair.sd_mm or 0.0) for _, pair in points) * 1.1 or 1e-3
     names = list(captures)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from labdaemon.errors import DataError
+from labdaemon.processing.folder import NOT_FRAMES
 from labdaemon.processing.tables import Row, read_csv
 from labdaemon.report.accuracy import Accuracy, compare
-from labdaemon.report.html import CaptureResult, write_page
+from labdaemon.report.html import CaptureResult, Picture, write_page
+from labdaemon.report.overlay import overlay_path
+
+PICTURE_WIDTH_PX = 760
+"""Of overlays in the page; the large ones lie beside it."""
 
 Truth = Mapping[str, Sequence[Mapping[str, Any]]]
 """Rows of truth by capture, as `labdaemon.report.accuracy.compare` takes them."""
@@ -63,12 +71,13 @@ def report_folder(
     """
     results = results or folder / "results"
     facts = _facts(folder)
+    cameras = sorted({path.stem for path in folder.glob("captures/*/*") if path.suffix not in NOT_FRAMES})
     shown = [
         CaptureResult(
             name,
             rows,
             facts.get(name, {}),
-            _overlays(results, name, facts),
+            _overlays(results, name, cameras),
             compare(name, rows, truth[name]) if truth and name in truth else None,
         )
         for name, rows in envelopes(results).items()
@@ -101,9 +110,19 @@ def _facts(folder: Path) -> dict[str, dict[str, str]]:
     return facts
 
 
-def _overlays(results: Path, name: str, facts: Mapping[str, Any]) -> list[str]:
-    """Overlay pictures of a capture: PNG files whose path below the results names it."""
-    found = [path.relative_to(results) for path in sorted(results.rglob("*.png"))]
-    longer = [other for other in facts if other != name and other.startswith(name)]
-    mine = [path for path in found if name in str(path) and not any(other in str(path) for other in longer)]
-    return [path.as_posix() for path in mine]
+def _overlays(results: Path, name: str, cameras: Sequence[str]) -> list[Picture]:
+    """Overlays of a capture that are there, a camera each."""
+    pictures = []
+    for camera in cameras:
+        path = overlay_path(results, name, camera)
+        image = cv2.imread(str(path)) if path.is_file() else None
+        if image is not None:
+            height, width = image.shape[:2]
+            size = (PICTURE_WIDTH_PX, round(height * PICTURE_WIDTH_PX / width))
+            small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+            _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 82])
+            uri = f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+            pictures.append(
+                Picture(f"{camera}: the vectors on the photograph", uri, path.relative_to(results).as_posix())
+            )
+    return pictures

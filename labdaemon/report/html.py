@@ -36,11 +36,32 @@ th,td{padding:.22rem .7rem;white-space:nowrap}td{text-align:right}
 th:first-child,td:first-child,td.flags,th.flags{text-align:left}
 tbody tr:nth-child(even){background:var(--band)}td.flags{color:var(--bad)}
 details summary{cursor:pointer;color:var(--faint);margin:.5rem 0}
+.pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(20rem,1fr));gap:0 1.2rem}
+.pictures img{display:block;width:100%;border-radius:3px}
 .numbers{display:flex;flex-wrap:wrap;gap:1rem 2.6rem;margin:1.4rem 0}
 .numbers div{line-height:1.25}.numbers b{display:block;font-size:1.5rem;font-weight:600}
 .numbers span{color:var(--faint)}
 @media print{body{max-width:none;padding:0}details{display:block}h2{break-after:avoid}figure{break-inside:avoid}}
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture in the page.
+
+    Attributes
+    ----------
+    name
+        Its caption.
+    data_uri
+        The picture itself, small.
+    link
+        Path of the large one relative to the page.
+    """
+
+    name: str
+    data_uri: str
+    link: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +77,7 @@ class CaptureResult:
     about
         Facts for its heading by name, as ``{"excitation": "5 Hz, 2 mm"}``.
     overlays
-        Paths of pictures relative to the page, if there are any.
+        Pictures of the frames, if there are any.
     accuracy
         Against the truth, if it is known.
     """
@@ -64,7 +85,7 @@ class CaptureResult:
     name: str
     rows: Sequence[Mapping[str, Any]]
     about: Mapping[str, str] = field(default_factory=dict)
-    overlays: Sequence[str] = ()
+    overlays: Sequence[Picture] = ()
     accuracy: Accuracy | None = None
 
 
@@ -142,8 +163,12 @@ def _accuracy(compared: Sequence[Accuracy]) -> str:
 def _capture(capture: CaptureResult) -> str:
     facts = " · ".join(f"{escape(name)} {escape(value)}" for name, value in capture.about.items())
     head = ("target", "x mm", "y mm", "z mm", "amplitude mm", "sd mm", "direction x", "y", "z", "minor mm", "flags")
-    links = " · ".join(f'<a href="{escape(path)}">{escape(Path(path).name)}</a>' for path in capture.overlays)
-    pictures = f'<p class="sub">Overlays on the photographs: {links}</p>' if links else ""
+    shown = "".join(
+        f'<figure><a href="{escape(picture.link)}"><img src="{escape(picture.data_uri)}" alt="{escape(picture.name)}">'
+        f"</a><figcaption>{escape(picture.name)}</figcaption></figure>"
+        for picture in capture.overlays
+    )
+    pictures = f'<div class="pictures">{shown}</div>' if shown else ""
     return (
         f'<h2>{escape(capture.name)}</h2><p class="sub">{facts}</p>'
         f"<figure>{envelope_svg(capture.rows)}<figcaption>Paths of the targets, magnified {MAGNIFY:g} times about "
