@@ -1,5 +1,6 @@
 """From a sharp and a blurred patch of a target to its motion in pixels, with covariance, at the photon limit."""
 
+from labdaemon.blur.defocus import frame_blur
 from labdaemon.blur.fit_sharp import fit_sharp
 from labdaemon.blur.frame import displacement, measure_frame
 from labdaemon.blur.group import measure_group
@@ -9,7 +10,7 @@ from labdaemon.blur.motion import ExtraBlur, Measurement, Start, StillMeasuremen
 from labdaemon.blur.noise import estimate_noise
 from labdaemon.blur.pixels import Dot, NoiseModel, Patch
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.still import frame_blur, measure_still
+from labdaemon.blur.still import measure_still
 from labdaemon.blur.texture import sharp_texture
 
 __all__ = [

@@ -10,10 +10,11 @@ from labdaemon.blur import shapes
 from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
-from labdaemon.blur.pixels import Dot, FloatArray, NoiseModel, Patch
+from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
+from labdaemon.blur.relief import Relief, find_relief, paper_around
 from labdaemon.blur.render import darkness, shifted
 from labdaemon.blur.sharp import Ellipse, Lens, SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, solve
+from labdaemon.blur.solve import Model, Prior, Solution, light_level, solve
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -78,14 +79,14 @@ def fit_sharp(dot: Dot, patches: Sequence[Patch], *, noise: NoiseModel | None = 
     blob = find_blob(cut, np.array([dot.x_px, dot.y_px]), area, None)
     if blob is None or not 0.3 < blob.area_px2 / area < 3.0:
         return _nothing(dot, cut, single, known, saturated=_all_hidden(cut))
-    planes = split(masked(cut, blob.others))
+    paper = paper_around(cut, np.array([dot.x_px, dot.y_px]), dot.semi_major_px)
+    planes = split(masked(cut, ~paper))
     solution, lens = _fit(dot, planes, mean_noise, blob)
-    return _target(dot, planes, solution, lens, single, known)
+    return _target(dot, planes, paper, solution, lens, single, known)
 
 
 def _crop(dot: Dot, patch: Patch) -> Patch:
-    reach = dot.semi_major_px + max(7.0, 0.6 * dot.semi_major_px)
-    reach = min(reach, max(dot.paper_px - 1.0, dot.semi_major_px + 2.0))
+    reach = dot.semi_major_px + max(11.0, 0.8 * dot.semi_major_px)
     left, top = int(np.floor(dot.x_px - reach)), int(np.floor(dot.y_px - reach))
     return patch.crop(left, top, int(np.ceil(dot.x_px + reach)) - left + 1, int(np.ceil(dot.y_px + reach)) - top + 1)
 
@@ -174,8 +175,23 @@ def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solut
     return solution, lens
 
 
-def _target(dot: Dot, planes: Planes, solution: Solution, lens: Lens, noise: NoiseModel, known: bool) -> SharpTarget:
-    scale = max(solution.chi2, 1.0)
+def _relief(planes: Planes, paper: BoolArray, solution: Solution) -> Relief | None:
+    """What the fit left over, in units of the dot's darkness."""
+    level = light_level(planes, solution.light) * solution.light[:, 3, None, None]
+    level = np.where(np.abs(level) > 1e-9, level, 1.0)
+    weight = solution.weight
+    residual = np.where(weight > 0, -solution.residual / np.sqrt(np.maximum(weight, 1e-300)) / level, 0.0)
+    variance = np.where(weight > 0, 1 / np.maximum(weight, 1e-300) / level**2, 0.0)
+    own = solution.p[COMMON:].reshape(len(planes.channel), 4)
+    centre = solution.p[:2] + own[:, 2:4].mean(axis=0)
+    return find_relief(planes, residual, variance, paper, centre)
+
+
+def _target(
+    dot: Dot, planes: Planes, paper: BoolArray, solution: Solution, lens: Lens, noise: NoiseModel, known: bool
+) -> SharpTarget:
+    relief = _relief(planes, paper, solution)
+    scale = max(solution.chi2, 1.0) if relief is None else 1.0
     covariance = solution.covariance * scale
     n = planes.values.shape[0]
     # The blur that a fit of motion can confuse with motion is the mean over channels, extra and diffraction together.
@@ -185,7 +201,7 @@ def _target(dot: Dot, planes: Planes, solution: Solution, lens: Lens, noise: Noi
         slope[3, COMMON + 4 * index] = 1 / n
         slope[3, COMMON + 4 * index + 1] = 0.45 * solution.p[COMMON + 4 * index + 1] / n
     q = solution.p[2:5]
-    form = Ellipse(q, lens, slope @ covariance @ slope.T)
+    form = Ellipse(q, lens, slope @ covariance @ slope.T, relief)
     flags = set()
     axes = np.linalg.eigvalsh(np.array([[q[0], q[1]], [q[1], q[2]]]))
     contrast = {int(c): float(k) for c, k in zip(planes.channel, solution.light[:, 3], strict=True)}

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labdaemon.blur.defocus import blur_of_targets
 from labdaemon.blur.law import DisplacementLaw
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.texture import Texture
 from labdaemon.errors import UsageError
 
 
@@ -32,7 +34,8 @@ def measure_frame(
     sharps, patches
         Target and its part of the blurred frame, one by one.
     extra_blur
-        From `frame_blur` over the control targets.
+        From `frame_blur` over the control targets. None estimates it from the targets themselves, in a first pass in
+        which each dot has its own.
     starts
         One a target, or none.
     window, orbit, law, camera_shift_px
@@ -51,19 +54,26 @@ def measure_frame(
     if len(sharps) != len(patches) or (starts is not None and len(starts) != len(sharps)):
         raise UsageError("give one patch (and one start, if any) for each sharp target")
     begin: Sequence[Start | None] = starts if starts is not None else [None] * len(sharps)
-    return [
-        measure(
-            sharp,
-            patch,
+
+    def one(index: int, blur: ExtraBlur | None, *, curved: bool) -> Measurement:
+        return measure(
+            sharps[index],
+            patches[index],
             window=window,
-            extra_blur=extra_blur,
-            start=start,
-            orbit=orbit,
+            extra_blur=blur,
+            start=begin[index],
+            orbit=curved,
             law=law,
             camera_shift_px=camera_shift_px,
         )
-        for sharp, patch, start in zip(sharps, patches, begin, strict=True)
-    ]
+
+    dots = [index for index, sharp in enumerate(sharps) if not isinstance(sharp.form, Texture)]
+    shared = extra_blur
+    if extra_blur is None:
+        # Straight paths: across its path a straight motion leaves the defocus alone to be seen.
+        shared = blur_of_targets([one(index, None, curved=False) for index in dots])
+    is_dot = set(dots)
+    return [one(index, shared if index in is_dot else extra_blur, curved=orbit) for index in range(len(sharps))]
 
 
 def displacement(sharp: SharpTarget, later: SharpTarget) -> tuple[FloatArray, FloatArray]:

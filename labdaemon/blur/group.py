@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.measure import DEFAULT_BLUR, nothing, reach_flags
+from labdaemon.blur.defocus import default_blur
+from labdaemon.blur.honesty import honest_covariance, reach_flags
 from labdaemon.blur.model import Setting, prepare
-from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window
+from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
 from labdaemon.blur.pixels import Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Solution
-from labdaemon.blur.weights import variance_scale
-from labdaemon.blur.windowed import FRAME, solve_windowed, timing_covariance
+from labdaemon.blur.windowed import FRAME, solve_windowed, stack, timing_covariance
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -59,14 +59,14 @@ def measure_group(
     if any(window.phase_rad is None for window in windows):
         raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
     if not sharp.usable:
-        return nothing(sharp, {Flag.NOT_FOUND})
-    blurs = [extra_blur or DEFAULT_BLUR] * count if not isinstance(extra_blur, Sequence) else list(extra_blur)
+        return nothing(sharp.name, {Flag.NOT_FOUND})
+    blurs = [extra_blur or default_blur(sharp)] * count if not isinstance(extra_blur, Sequence) else list(extra_blur)
     settings: list[Setting] = []
     for index, patch in enumerate(patches):
         expected = starts[index].centre_px if starts is not None else sharp.centre_px
         setting = prepare(sharp, patch, np.asarray(expected, dtype=np.float64))
         if setting is None:
-            return nothing(sharp, {Flag.NOT_FOUND})
+            return nothing(sharp.name, {Flag.NOT_FOUND})
         settings.append(setting)
     moments = [s.blob.moment_px2 for s in settings if s.blob is not None]
     spread = 2 * (np.mean(moments, axis=0) - sharp.form.moment_px2) if moments else 4.0 * np.eye(2)
@@ -78,7 +78,8 @@ def _report(
     sharp: SharpTarget, best: Solution, runner_up: Solution | None, settings: list[Setting], windows: Sequence[Window]
 ) -> Measurement:
     count = len(settings)
-    covariance = best.covariance * variance_scale(sharp, best) + timing_covariance(best, settings, windows)
+    planes = stack([s.planes for s in settings])
+    covariance = honest_covariance(sharp, best, planes) + timing_covariance(best, settings, windows)
     pick = np.zeros((6, len(best.p)))
     for index in range(count):
         pick[0, FRAME * index] = pick[1, FRAME * index + 1] = 1 / count

@@ -85,7 +85,14 @@ def darkness_map(patch: Patch, contrast: dict[int, float] | None = None) -> Floa
     return result
 
 
-def find_blob(patch: Patch, near_px: FloatArray, area_px2: float, contrast: dict[int, float] | None) -> Blob | None:
+def find_blob(
+    patch: Patch,
+    near_px: FloatArray,
+    area_px2: float,
+    contrast: dict[int, float] | None,
+    *,
+    threshold: float | None = None,
+) -> Blob | None:
     """The dark blob that is most likely the target.
 
     Parameters
@@ -94,11 +101,14 @@ def find_blob(patch: Patch, near_px: FloatArray, area_px2: float, contrast: dict
         (2,) where it is expected, frame coordinates.
     area_px2
         Its expected darkness (area of the dot).
+    threshold
+        Darkness that counts; None takes what stands out of the noise.
     """
     dark = darkness_map(patch, contrast)
     smooth = ndimage.uniform_filter(dark, 5 if min(patch.shape) > 12 else 3, mode="nearest")
     noise = 1.48 * float(np.median(np.abs(smooth - np.median(smooth))))
-    threshold = float(np.clip(4 * noise, 0.045, 0.25))
+    if threshold is None:
+        threshold = float(np.clip(4 * noise, 0.045, 0.25))
     labels, count = ndimage.label(smooth > threshold, structure=np.ones((3, 3)))
     if count == 0:
         return None

@@ -11,8 +11,9 @@ from labdaemon.blur import shapes
 from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.pixels import ComplexArray, FloatArray, Patch
+from labdaemon.blur.relief import trusted
 from labdaemon.blur.render import darkness, shifted
-from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.sharp import Ellipse, SharpTarget
 from labdaemon.blur.solve import Model
 from labdaemon.blur.texture import Texture
 
@@ -44,26 +45,49 @@ class Setting:
     blob: Blob | None
 
 
-def prepare(sharp: SharpTarget, patch: Patch, expected_px: FloatArray) -> Setting | None:
-    """Find the smear in the patch, crop to it, and evaluate the target's spectra; None if there is none."""
+def prepare(
+    sharp: SharpTarget,
+    patch: Patch,
+    expected_px: FloatArray,
+    known: tuple[FloatArray, FloatArray, FloatArray] | None = None,
+) -> Setting | None:
+    """Find the smear in the patch, crop to it, and evaluate the target's spectra; None if there is none.
+
+    Parameters
+    ----------
+    known
+        Mean position, a and b where a first fit has found them: the mask of trusted paper depends on them.
+    """
     if min(patch.shape) < 5:
         return None
     if isinstance(sharp.form, Texture):
         return _prepare_texture(sharp, sharp.form, patch, expected_px)
     half_w, half_h = sharp.form.half_size_px
     area = np.pi * half_w * half_h
-    blob = find_blob(patch, expected_px, area, sharp.contrast)
+    relief = sharp.form.relief if isinstance(sharp.form, Ellipse) else None
+    rough = relief is not None and relief.strong
+    blob = find_blob(patch, expected_px, area, sharp.contrast, threshold=0.45 if rough else None)
     if blob is None or blob.area_px2 > 2.5 * area:
         return None
-    margin = 6 + int(0.15 * half_w)
+    reach_px = 6 + int(0.15 * half_w) + (int(half_w) if rough else 0)
     left, top, right, bottom = blob.box_px
-    hidden = masked(patch, blob.others)
-    cut = hidden.crop(left - margin, top - margin, right - left + 1 + 2 * margin, bottom - top + 1 + 2 * margin)
+    shown = patch if rough else masked(patch, blob.others)
+    cut = shown.crop(left - reach_px, top - reach_px, right - left + 1 + 2 * reach_px, bottom - top + 1 + 2 * reach_px)
+    if relief is not None and relief.bounded:
+        place, a, b = (blob.centre_px, *_rough_axes(blob, sharp)) if known is None else known
+        cut = masked(cut, ~trusted(relief, cut, place, a, b, half_w))
     planes = split(cut)
     height, width = cut.shape
     grid = make_grid((height + 4, width + 4), sharp.form.oversampling)
     spectra, by_shape = sharp.form.spectra(grid, planes.channel)
     return Setting(planes, grid, spectra, by_shape, blob.centre_px, blob)
+
+
+def _rough_axes(blob: Blob, sharp: SharpTarget) -> tuple[FloatArray, FloatArray]:
+    """Axes of the motion by the smear's second moment."""
+    values, vectors = np.linalg.eigh(2 * (blob.moment_px2 - sharp.form.moment_px2))
+    sizes = np.sqrt(np.maximum(values, 0.25))
+    return vectors[:, 1] * sizes[1], vectors[:, 0] * sizes[0]
 
 
 def _prepare_texture(sharp: SharpTarget, form: Texture, patch: Patch, expected_px: FloatArray) -> Setting | None:

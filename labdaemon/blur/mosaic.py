@@ -146,3 +146,17 @@ def to_lattice(spectrum: ComplexArray, grid: Grid, period: int) -> FloatArray:
         base = spectrum
     result: FloatArray = fft.irfft2(base, s=(height, width), axes=(-2, -1)) / period**2
     return result
+
+
+def interleave(planes: Planes, values: FloatArray) -> FloatArray:
+    """(..., n, h, w) lattices back into (..., H, W) pictures; frames stacked in one `Planes` lie side by side."""
+    step = planes.period
+    count = step * step
+    *lead, n, height, width = values.shape
+    frames = n // count
+    result = np.zeros((*lead, step * height, step * width * frames))
+    for index in range(n):
+        ox, oy = (planes.offset_px[index] - planes.offset_px[index - index % count]).astype(int)
+        left = step * width * (index // count)
+        result[..., oy::step, left + ox : left + step * width : step] = values[..., index, :, :]
+    return result

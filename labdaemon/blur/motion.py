@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.flags import Flag
 
@@ -82,10 +84,14 @@ class ExtraBlur:
     ----------
     mean_px2, sd_px2
         Variance and its standard deviation, px². The mean may be negative (the sharp frame was the less sharp one).
+    one_sided_px2
+        How far it may be from the same in all directions. Without control targets nobody knows, and motion of which the
+        square is not well above this cannot be told from rest.
     """
 
     mean_px2: float = 0.0
     sd_px2: float = 0.1
+    one_sided_px2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,3 +140,9 @@ class StillMeasurement:
     covariance_px2: FloatArray
     flags: frozenset[Flag] = field(default_factory=frozenset)
     chi2: float = 1.0
+
+
+def nothing(target: str, flags: set[Flag]) -> Measurement:
+    """A measurement without numbers."""
+    nan = np.full(2, np.nan)
+    return Measurement(target, nan, nan, nan, np.full((6, 6), np.nan), flags=frozenset(flags), chi2=float("nan"))

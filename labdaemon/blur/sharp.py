@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from labdaemon.blur import shapes
 from labdaemon.blur.mosaic import Grid
 from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel
+from labdaemon.blur.relief import Relief
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -60,6 +61,9 @@ class Lens:
         return result
 
 
+DISTORTION = 0.02  # standard deviation of a label's turn and stretch between the frames, radians
+
+
 class Form(Protocol):
     """What a target looks like at rest, as spectra about its centre."""
 
@@ -74,8 +78,8 @@ class Form(Protocol):
         ...
 
     @property
-    def shape_covariance(self) -> FloatArray:
-        """(k, k) covariance of the shape parameters, as the sharp frame left it."""
+    def prior_covariance(self) -> FloatArray:
+        """(k, k) covariance of those shape parameters before the blurred frame is seen."""
         ...
 
     @property
@@ -106,21 +110,43 @@ class Ellipse:
         Blur of each channel.
     shape_covariance
         (4, 4) covariance of q0, q1, q2 (px) and the blur's variance (px²).
+    relief
+        What the sharp picture shows beyond the ellipse, if that is more than noise.
     """
 
     q_px: FloatArray
     lens: Lens
     shape_covariance: FloatArray
+    relief: Relief | None = None
 
     def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
-        """Closed form; derivatives by q0, q1, q2 and the blur's variance."""
+        """Closed form, and relief; derivatives by q0, q1, q2 and the blur's variance.
+
+        With a strong relief the derivatives are by a small linear distortion (xx, yy, xy, yx: a label that tilts and
+        turns) and the blur's variance.
+        """
         lens = self.lens.transfer(grid, channel)
         dark, by_q = shapes.ellipse(grid.fx, grid.fy, self.q_px)
         spectrum = dark * lens
-        derivatives = np.empty((4, *lens.shape), dtype=np.complex128)
-        derivatives[:3] = by_q[:, None] * lens[None]
-        derivatives[3] = -2 * np.pi**2 * (grid.fx**2 + grid.fy**2) * spectrum
-        return spectrum, derivatives
+        by_blur = -2 * np.pi**2 * (grid.fx**2 + grid.fy**2) * spectrum
+        if self.relief is None or not self.relief.strong:
+            derivatives = np.concatenate((by_q[:, None] * lens, by_blur[None]))
+            return spectrum if self.relief is None else spectrum + self.relief.spectrum(grid), derivatives
+        q = self.q_px
+        by_linear = self.relief.by_affine(grid)[:, None] + np.zeros_like(spectrum)
+        # (1 + E) Q, made symmetric: what turns a circle does not change it.
+        by_linear[0] += (q[0] * by_q[0] + q[1] * by_q[1] / 2) * lens
+        by_linear[1] += (q[2] * by_q[2] + q[1] * by_q[1] / 2) * lens
+        for index in (2, 3):
+            by_linear[index] += ((q[0] + q[2]) / 4 * by_q[1] + q[1] / 2 * (by_q[0] + by_q[2])) * lens
+        return spectrum + self.relief.spectrum(grid), np.concatenate((by_linear, by_blur[None]))
+
+    @property
+    def prior_covariance(self) -> FloatArray:
+        """Covariance of the parameters that `spectra` differentiates by."""
+        if self.relief is None or not self.relief.strong:
+            return self.shape_covariance
+        return np.diag([*[DISTORTION**2] * 4, self.shape_covariance[3, 3]])
 
     @property
     def half_size_px(self) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """Damped Gauss–Newton on patches: a few shape and motion parameters, and each channel's own light.
 
 A pixel of channel c is L_c(x)·(1 − k_c·m(x; p)) with L_c = w0 + w1·x + w2·y (white and light gradient), k_c the
-contrast of ink against paper and m the modelled darkness. Each channel's four numbers are eliminated from the normal equations
-(variable projection), so that what is left is as small as the motion itself.
+contrast of ink against paper and m the modelled darkness. Each channel's four numbers are eliminated from the normal
+equations (variable projection), so that what is left is as small as the motion itself.
 """
 
 from __future__ import annotations
@@ -52,6 +52,10 @@ class Solution:
         Degrees of freedom.
     converged
         False when the iterations ran out.
+    weight
+        (n, h, w) inverse variances in use, 0 where masked.
+    prior_part
+        (k, k) what the prior's own uncertainty contributes to the covariance.
     gain
         (k, n, h, w) change of the parameters by a change of each pixel, DN⁻¹; carries any other error through.
     """
@@ -64,6 +68,8 @@ class Solution:
     cost: float
     dof: int
     converged: bool
+    weight: FloatArray
+    prior_part: FloatArray
     gain: FloatArray
 
     @property
@@ -95,11 +101,16 @@ def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatAr
     return solution
 
 
+def light_level(planes: Planes, light: FloatArray) -> FloatArray:
+    """(n, h, w) values of bare paper under a light."""
+    u, v = light_coordinates(planes)
+    level: FloatArray = light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v
+    return level
+
+
 def render_light(planes: Planes, light: FloatArray, dark: FloatArray) -> FloatArray:
     """(n, h, w) values of a darkness under a light."""
-    u, v = light_coordinates(planes)
-    level = light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v
-    result: FloatArray = level * (1 - light[:, 3, None, None] * dark)
+    result: FloatArray = light_level(planes, light) * (1 - light[:, 3, None, None] * dark)
     return result
 
 
@@ -208,4 +219,5 @@ def solve(
     gain = np.einsum("kj,njp->knp", covariance, weighted[:, :k] - through_light).reshape(k, *y.shape)
     normalised = residual * np.sqrt(weight)
     dof = int(np.count_nonzero(weight)) - k - 4 * n
-    return Solution(p, covariance, light, normalised, signal, cost, dof, converged, gain)
+    prior_part = covariance @ prior.precision @ covariance
+    return Solution(p, covariance, light, normalised, signal, cost, dof, converged, weight, prior_part, gain)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
+from labdaemon.blur.honesty import honest_covariance
 from labdaemon.blur.model import blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Start, StillMeasurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import solve
-from labdaemon.blur.weights import nuisance_prior, pixel_weights, variance_scale
-from labdaemon.errors import DataError
+from labdaemon.blur.weights import nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 
 FREE_BLUR = ExtraBlur(0.0, 30.0)
@@ -77,7 +75,7 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
         if best.chi2 < 1.5:
             break
     assert best is not None
-    covariance = best.covariance[:3, :3] * variance_scale(sharp, best)
+    covariance = honest_covariance(sharp, best, setting.planes)[:3, :3]
     covariance[:2, :2] += sharp.covariance_px2
     flags = {Flag.POOR_FIT} if best.chi2 > 2.0 and sharp.noise_known else set()
     return StillMeasurement(
@@ -89,44 +87,3 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
         frozenset(flags),
         best.chi2,
     )
-
-
-def frame_blur(stills: Sequence[StillMeasurement]) -> ExtraBlur:
-    """A frame's extra blur against the sharp frame: a robust weighted mean over its control targets.
-
-    Parameters
-    ----------
-    stills
-        One for each control target; those without numbers are left out.
-
-    Returns
-    -------
-    ExtraBlur
-        Its standard deviation is the larger of the formal one and the scatter's.
-
-    Raises
-    ------
-    DataError
-        None of them could be measured.
-    """
-    seen = [s for s in stills if np.isfinite(s.extra_blur_px2) and s.covariance_px2[2, 2] > 0]
-    if not seen:
-        raise DataError("no control target could be measured in this frame; check that they are in view and lit")
-    value = np.array([s.extra_blur_px2 for s in seen])
-    variance = np.array([s.covariance_px2[2, 2] for s in seen]) + 1e-6
-    return robust_blur(value, variance)
-
-
-def robust_blur(value: FloatArray, variance: FloatArray) -> ExtraBlur:
-    """Weighted mean of extra variances with outliers (beyond 3 robust standard deviations) pulled in (Huber)."""
-    mean = float(np.median(value))
-    for _ in range(10):
-        pull = np.abs(value - mean) / np.sqrt(variance)
-        spread = max(1.0, 1.48 * float(np.median(pull)))
-        weight = np.minimum(1.0, 2.0 * spread / np.maximum(pull, 1e-12)) / variance
-        mean = float(np.sum(weight * value) / np.sum(weight))
-    formal = 1 / float(np.sum(1 / variance))
-    scatter = float(np.sum(weight**2 * (value - mean) ** 2) / np.sum(weight) ** 2)
-    if len(value) > 1:
-        scatter *= len(value) / (len(value) - 1)
-    return ExtraBlur(mean, float(np.sqrt(max(formal, scatter))))

@@ -13,7 +13,7 @@ from labdaemon.blur.fit_sharp import average
 from labdaemon.blur.mosaic import Grid
 from labdaemon.blur.noise import estimate_noise
 from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel, Patch
-from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.sharp import DISTORTION, SharpTarget
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -43,20 +43,24 @@ class Texture:
     variance: float
 
     def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
-        """Discrete transform of the samples; nothing in the shape is uncertain."""
+        """Discrete transform of the samples, and derivatives by a small linear distortion about the box's centre."""
         order = {int(number): row for row, number in enumerate(self.channel)}
         try:
             rows = [order[int(number)] for number in channel]
         except KeyError as missing:
             raise UsageError(f"colour channel {missing} is not in the sharp frame; use frames of one camera") from None
         x, y = self.centre_in_dark_px
-        spectrum = fft.rfft2(self.dark, s=grid.size)[rows] * np.exp(2j * np.pi * (grid.fx * x + grid.fy * y))
-        return spectrum, np.zeros((0, *spectrum.shape), dtype=np.complex128)
+        phase = np.exp(2j * np.pi * (grid.fx * x + grid.fy * y))
+        _, height, width = self.dark.shape
+        spectrum = fft.rfft2(self.dark, s=grid.size)[rows] * phase
+        by_x = fft.rfft2(self.dark * (np.arange(width) - x), s=grid.size)[rows] * (phase * -2j * np.pi)
+        by_y = fft.rfft2(self.dark * (np.arange(height) - y)[:, None], s=grid.size)[rows] * (phase * -2j * np.pi)
+        return spectrum, np.stack((by_x * grid.fx, by_y * grid.fy, by_y * grid.fx, by_x * grid.fy))
 
     @property
-    def shape_covariance(self) -> FloatArray:
-        """Empty: there are no shape parameters."""
-        return np.zeros((0, 0))
+    def prior_covariance(self) -> FloatArray:
+        """Of a small linear distortion (xx, yy, xy, yx)."""
+        return DISTORTION**2 * np.eye(4)
 
     @property
     def half_size_px(self) -> tuple[float, float]:
@@ -159,11 +163,14 @@ def _full_resolution(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, float
                 every = patch.channel == c
                 scaled[every] = slope * scaled[every] + offset
         smooth = ndimage.convolve(scaled, np.outer([1, 2, 1], [1, 2, 1]) / 16.0, mode="nearest")
+        detail = scaled - smooth
+        shared = ndimage.gaussian_filter(detail, 1.2, mode="nearest")
         for row, c in enumerate(channels):
-            here = ((patch.channel == c) & good).astype(np.float64)
-            weight = ndimage.gaussian_filter(here, 1.2, mode="nearest")
-            own = ndimage.gaussian_filter(here * (scaled - smooth), 1.2, mode="nearest") / np.maximum(weight, 1e-6)
-            dark[row] = smooth + own
+            here = patch.channel == c
+            seen = (here & good).astype(np.float64)
+            weight = ndimage.gaussian_filter(seen, 1.2, mode="nearest")
+            own = ndimage.gaussian_filter(seen * detail, 1.2, mode="nearest") / np.maximum(weight, 1e-6)
+            dark[row] = np.where(here, scaled, scaled + own - shared)
     return channels, dark, float(np.mean(spreads)) if spreads else 0.0
 
 

@@ -15,7 +15,7 @@ from labdaemon.blur.solve import Prior, Solution
 
 def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Prior:
     """Prior on (x, y, extra variance, shape…, motion…): defocus from the controls, shape from the sharp frame."""
-    k = len(sharp.form.shape_covariance)
+    k = len(sharp.form.prior_covariance)
     precision = np.zeros((3 + k + motion_count, 3 + k + motion_count))
     precision[2, 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
     precision[3 : 3 + k, 3 : 3 + k] = shape_precision(sharp)
@@ -25,8 +25,8 @@ def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Pr
 
 
 def shape_precision(sharp: SharpTarget) -> FloatArray:
-    """(k, k) inverse covariance of the target's shape parameters as the sharp frame left them."""
-    covariance = sharp.form.shape_covariance
+    """(k, k) inverse covariance of the target's shape parameters before the frame is seen."""
+    covariance = sharp.form.prior_covariance
     k = len(covariance)
     if k == 0:
         return np.zeros((0, 0))
@@ -45,6 +45,6 @@ def pixel_weights(sharp: SharpTarget, planes: Planes, scale: float = 1.0) -> Cal
     return weights
 
 
-def variance_scale(sharp: SharpTarget, solution: Solution) -> float:
-    """Factor on the covariance where residuals exceed the noise model."""
-    return max(solution.chi2, 1.0) if sharp.noise_known else max(solution.chi2, 1e-6)
+def noise_scale(sharp: SharpTarget, solution: Solution) -> float:
+    """Factor from the assumed to the found noise variance, where the noise was not given; else 1."""
+    return 1.0 if sharp.noise_known else max(solution.chi2, 1e-9)

@@ -13,7 +13,7 @@ from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.motion import ExtraBlur, Window
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, solve
+from labdaemon.blur.solve import Model, Prior, Solution, light_level, solve
 from labdaemon.blur.weights import pixel_weights, shape_precision
 
 FRAME = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's
@@ -110,7 +110,7 @@ def timing_covariance(best: Solution, settings: list[Setting], windows: Sequence
     total = np.zeros((size, size))
     reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[-4:]))
     base, _ = _group_model(settings, planes, windows, reach)(best.p)
-    level = _level(best)
+    level = light_level(planes, best.light) * best.light[:, 3, None, None]
     for index, window in enumerate(windows):
         for kind, sd in (("phase", window.sd_phase_rad), ("exposure", window.sd_exposure_s)):
             if sd <= 0:
@@ -128,14 +128,3 @@ def timing_covariance(best: Solution, settings: list[Setting], windows: Sequence
             shift = np.einsum("knhw,nhw->k", best.gain, change)
             total += np.outer(shift, shift)
     return total
-
-
-def _level(best: Solution) -> FloatArray:
-    _, height, width = best.signal.shape
-    u = (2 * np.arange(width) + 1) / width - 1
-    v = (2 * np.arange(height) + 1) / height - 1
-    light = best.light
-    level: FloatArray = (
-        light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v[:, None]
-    ) * light[:, 3, None, None]
-    return level

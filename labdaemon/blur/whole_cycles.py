@@ -1,0 +1,156 @@
+"""A sinusoid over whole cycles, phase unknown: the everyday case."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labdaemon.blur import shapes
+from labdaemon.blur.axes import moment_axes, moment_matrix, positive, principal
+from labdaemon.blur.honesty import REST_SIGMAS, honest_covariance, reach_flags
+from labdaemon.blur.model import Setting, blurred_model, prepare
+from labdaemon.blur.motion import ExtraBlur, Measurement
+from labdaemon.blur.pixels import FloatArray, Patch
+from labdaemon.blur.sharp import Ellipse, SharpTarget
+from labdaemon.blur.solve import Solution, solve
+from labdaemon.blur.starts import starts_of
+from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights
+from labdaemon.flags import Flag
+
+
+def measure_whole_cycles(
+    sharp: SharpTarget, patch: Patch, setting: Setting, blur: ExtraBlur, *, orbit: bool, flags: set[Flag]
+) -> Measurement:
+    """Fit an orbit by its second moment; then a straight path, where the minor axis does not show.
+
+    Parameters
+    ----------
+    sharp, patch, setting, blur
+        The target, the blurred patch, what `prepare` made of them, and the frame's defocus.
+    orbit
+        False forces straight motion.
+    flags
+        Flags to start with.
+    """
+    k = len(setting.by_shape)
+    free = _fit_orbit(sharp, setting, blur, starts_of(sharp, setting, blur, k))
+    for _ in range(2):
+        if not _mask_depends_on_motion(sharp):
+            break
+        axes, _ = moment_axes(_picked(free, k), np.eye(5))
+        again = prepare(sharp, patch, setting.start_px, known=(axes[:2], axes[2:4], axes[4:]))
+        if again is None:
+            break
+        setting = again
+        free = _fit_orbit(sharp, setting, blur, [free.p])
+    scale = noise_scale(sharp, free)
+    spread = honest_covariance(sharp, free, setting.planes)
+    lam, major, _, cov = principal(free.p[3 + k :], spread[3 + k :, 3 + k :])
+    sd = np.sqrt(np.maximum(np.diag(cov), 0))
+    if orbit and lam[0] > REST_SIGMAS * sd[0] and lam[1] > REST_SIGMAS * np.hypot(sd[1], blur.one_sided_px2):
+        value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
+        best, a, b = free, value[2:4], value[4:]
+    else:
+        best = _fit_straight(sharp, setting, blur, free, np.sqrt(max(lam[0], 0.05)) * major, scale)
+        spread = honest_covariance(sharp, best, setting.planes)
+        a, b, covariance = _straight_axes(best.p, spread, k, float(sd[1]))
+    flags = flags | reach_flags(sharp, best, a, b)
+    size = float(np.hypot(*a))
+    along = a / max(size, 1e-12)
+    # The amplitude shows by its square: it is seen when that exceeds three of its own deviations.
+    sd_square = 2 * size * float(np.sqrt(along @ covariance[2:4, 2:4] @ along))
+    rest = lam[0] < REST_SIGMAS * sd[0]
+    limit = float(np.hypot(sd_square, max(blur.one_sided_px2, 0.0)))
+    if rest or size**2 < REST_SIGMAS * limit:
+        flags.add(Flag.AT_REST)
+        covariance = _resting(covariance, size, max(limit, float(sd[0]) if rest else 0.0))
+    return Measurement(
+        sharp.name,
+        best.p[:2].copy(),
+        a,
+        b,
+        covariance,
+        flags=frozenset(flags),
+        extra_blur_px2=float(best.p[2]),
+        chi2=best.chi2,
+    )
+
+
+def _mask_depends_on_motion(sharp: SharpTarget) -> bool:
+    form = sharp.form
+    return isinstance(form, Ellipse) and form.relief is not None and form.relief.bounded
+
+
+def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: list[FloatArray]) -> Solution:
+    k = len(setting.by_shape)
+    model = blurred_model(setting, shapes.orbit)
+    prior = nuisance_prior(sharp, blur, 3)
+
+    def bound(p: FloatArray) -> FloatArray:
+        p = p.copy()
+        low, axes = np.linalg.eigh(moment_matrix(p[3 + k :]))
+        if low[0] < -1.5:
+            fixed = axes @ np.diag(np.maximum(low, -1.5)) @ axes.T
+            p[3 + k :] = fixed[0, 0], fixed[0, 1], fixed[1, 1]
+        p[2] = np.clip(p[2], -1.0, 50.0)
+        return p
+
+    best: Solution | None = None
+    for start in starts:
+        found = solve(setting.planes, pixel_weights(sharp, setting.planes), model, start, prior, bound=bound)
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    if not sharp.noise_known:
+        # The prior must be weighed against the noise as it is found.
+        weights = pixel_weights(sharp, setting.planes, noise_scale(sharp, best))
+        best = solve(setting.planes, weights, model, best.p, prior, bound=bound, light=best.light)
+    return best
+
+
+def _fit_straight(
+    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, free: Solution, a: FloatArray, scale: float
+) -> Solution:
+    k = len(setting.by_shape)
+    return solve(
+        setting.planes,
+        pixel_weights(sharp, setting.planes, scale),
+        blurred_model(setting, shapes.straight),
+        np.concatenate((free.p[: 3 + k], a)),
+        nuisance_prior(sharp, blur, 2),
+        light=free.light,
+    )
+
+
+def _pick(k: int) -> list[int]:
+    return [0, 1, 3 + k, 4 + k, 5 + k]
+
+
+def _picked(free: Solution, k: int) -> FloatArray:
+    result: FloatArray = free.p[_pick(k)]
+    return result
+
+
+def _straight_axes(
+    p: FloatArray, spread: FloatArray, k: int, sd_minor_px2: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    pick = [0, 1, 3 + k, 4 + k]
+    covariance = np.zeros((6, 6))
+    covariance[:4, :4] = spread[np.ix_(pick, pick)]
+    a = p[3 + k :]
+    if not np.array_equal(positive(a), a):
+        covariance[:2, 2:4] *= -1
+        covariance[2:4, :2] *= -1
+        a = -a
+    across = np.array([-a[1], a[0]]) / max(float(np.hypot(*a)), 1e-12)
+    # b² is known to ± its own deviation, so |b| may be as large as the root of that.
+    covariance[4:, 4:] = sd_minor_px2 * np.outer(across, across)
+    return a, np.zeros(2), covariance
+
+
+def _resting(covariance: FloatArray, size: float, sd_square: float) -> FloatArray:
+    """Covariance with that of a replaced: near rest only a² is known, and its direction is not."""
+    result = covariance.copy()
+    sd = np.sqrt(size**2 + sd_square) - size
+    result[2:4, :] = result[:, 2:4] = 0.0
+    result[2:4, 2:4] = sd**2 * np.eye(2)
+    return result
