@@ -121,8 +121,6 @@ def adjust_motion(
         normal = design.T @ weight @ design
         inverse = _invert(normal, motion if phase_free else None)
         step = inverse @ (design.T @ weight @ (target - computed))
-        if not np.isfinite(step).all():
-            raise DataError("its rays do not meet in front of the cameras")
         flat = motion.reshape(9).copy()
         flat[columns] += step
         motion = flat.reshape(3, 3)
@@ -151,6 +149,8 @@ def _invert(normal: FloatArray, motion: FloatArray | None) -> FloatArray:
 def _linearise(views: Sequence[View], motion: FloatArray, model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Observations of all cameras one below the other, (m,), (m, 9), and (m, 6 n) with one block a camera."""
     parts = [model(*project_motion(view.project_with_jacobians, motion)) for view in views]
+    if not all(np.isfinite(part[0]).all() for part in parts):
+        raise DataError("its rays do not meet in front of the cameras")
     rows = len(parts[0][0])
     by_exterior = np.zeros((rows * len(parts), 6 * len(parts)))
     for index, part in enumerate(parts):

@@ -11,6 +11,7 @@ and the pixel is ``focal_px * (x_d, y_d) + principal_point_px``, pixel centres a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import cast
 
 import numpy as np
@@ -77,10 +78,7 @@ class Lens:
         Beyond it two rays share one pixel, so nothing there can be undistorted.
         """
         k1, k2, _, _, k3 = self.distortion
-        roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
-        real = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
-        positive = real[real > 0]
-        return float(np.sqrt(positive.min())) if positive.size else float("inf")
+        return _fold_radius(k1, k2, k3)
 
     @property
     def covers_image(self) -> bool:
@@ -222,3 +220,13 @@ class Lens:
         start = np.where(np.isnan(start) & (wanted < 1.02 * table[-1]), 0.98 * reach, start)
         scale = np.divide(start, wanted, out=np.ones_like(wanted), where=wanted > 0)
         return target * scale[..., None]
+
+
+@lru_cache(maxsize=64)
+def _fold_radius(k1: float, k2: float, k3: float) -> float:
+    """Smallest positive root of 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶; inf for none."""
+    # In 1/r² the leading coefficient is 1, so that a vanishing k3 does no harm.
+    roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])
+    real = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
+    largest = float(real.max(initial=0.0))
+    return largest**-0.5 if largest > 1e-12 else float("inf")

@@ -32,17 +32,22 @@ def straight_candidates(views: Sequence[View], exterior: FloatArray, motions: Se
     result = []
     for _, signs, vector in ranked[:2]:
         flips = [np.array([1.0, 1.0, sign, sign]) for sign in signs]
-        candidate = adjust_motion(
-            views,
-            exterior,
-            [np.concatenate([m.mean_px, m.a_px]) * f for m, f in zip(motions, flips, strict=True)],
-            [m.covariance_px2[:4, :4] * np.outer(f, f) for m, f in zip(motions, flips, strict=True)],
-            lambda picture, by_motion, by_exterior: (picture[:4], by_motion[:4], by_exterior[:4]),
-            range(6),
-            np.stack([start[0], vector, np.zeros(3)]),
-        )
+        try:
+            candidate = adjust_motion(
+                views,
+                exterior,
+                [np.concatenate([m.mean_px, m.a_px]) * f for m, f in zip(motions, flips, strict=True)],
+                [m.covariance_px2[:4, :4] * np.outer(f, f) for m, f in zip(motions, flips, strict=True)],
+                lambda picture, by_motion, by_exterior: (picture[:4], by_motion[:4], by_exterior[:4]),
+                range(6),
+                np.stack([start[0], vector, np.zeros(3)]),
+            )
+        except DataError:
+            continue  # ends matched wrongly may put the path behind a camera
         candidate.covariance_mm2[6:, 6:] = _minor_covariance(views, motions, candidate.motion_mm[0])
         result.append(candidate)
+    if not result:
+        raise DataError("no way of matching the ends of its path puts it in front of the cameras")
     return sorted(result, key=lambda candidate: candidate.square)
 
 
@@ -83,9 +88,12 @@ def orbit_candidates(views: Sequence[View], exterior: FloatArray, motions: Seque
     observed = [np.concatenate([m.mean_px, moment]) for m, moment in zip(motions, moments, strict=True)]
     found: list[Candidate] = []
     for start in _orbit_starts(views, moments, mean):
-        candidate = adjust_motion(
-            views, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]), phase_free=True
-        )
+        try:
+            candidate = adjust_motion(
+                views, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]), phase_free=True
+            )
+        except DataError:
+            continue
         a, b, covariance = principal_axes(candidate.motion_mm[1], candidate.motion_mm[2], candidate.covariance_mm2)
         motion_mm = np.stack([candidate.motion_mm[0], a, b])
         if not any(_same(motion_mm, other.motion_mm) for other in found):

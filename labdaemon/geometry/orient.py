@@ -113,11 +113,11 @@ def orient(
         return image_px - computed, survey + (sd_image**2)[:, None, None] * np.eye(2), by_exterior
 
     problem = PointProblem(linearise, View.moved)
-    starts = sorted(starting_views(lens, image_px, object_mm), key=problem.cost)[:8]
+    starts = sorted(starting_views(lens, image_px, object_mm), key=problem.cost)[:4]
     if not starts:
         raise DataError("no camera position sees the control targets like this: wrong lens, or names mixed up")
     every = np.ones(count)
-    view = min((problem.adjust(start, every, robust=True) for start in starts), key=problem.cost)
+    view = min((problem.adjust(start, every, robust=True, steps=20) for start in starts), key=problem.cost)
     view, used = problem.snoop(view, least=4)
     residuals = linearise(view)[0]
     squares = problem.squares(view)

@@ -172,10 +172,10 @@ def fit_plane(
 
     problem = PointProblem(linearise, Plane.moved)
     every = np.ones(count)
-    starts = sorted(_starts(start, (plane_mm - centre) / scale, slopes), key=problem.cost)[:6]
+    starts = sorted(_starts(start, (plane_mm - centre) / scale, slopes), key=problem.cost)[:4]
     if not starts:
         raise DataError("no projective transform fits the control targets: frame and survey do not belong together")
-    plane = min((problem.adjust(s, every, robust=True) for s in starts), key=problem.cost)
+    plane = min((problem.adjust(s, every, robust=True, steps=20) for s in starts), key=problem.cost)
     plane, used = problem.snoop(plane, least=4)
     residuals, squares = linearise(plane)[0], problem.squares(plane)
     freedom = 2 * int(used.sum()) - 8

@@ -12,6 +12,9 @@ from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.view import View, rotation_from_vector
 
 MOST_TRIPLES = 120
+MOST_VIEWS = 6
+ROUGH_SLOPE = 0.002
+"""What a survey and a pixel may be off, as a ray's slope, for a start that deserves adjusting."""
 
 
 def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> list[View]:
@@ -27,7 +30,7 @@ def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> l
     Returns
     -------
     list of View
-        Those with all points in front of the camera; empty if there is none.
+        The best few with most points in front of the camera, best first; empty if there is none.
     """
     slopes = lens.undistort(image_px)
     seen = np.flatnonzero(np.isfinite(slopes).all(axis=1))
@@ -41,25 +44,28 @@ def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> l
         index = list(triple)
         if _area(slopes[index]) < 1e-9:
             continue
-        count, rotations, translations = cv2.solveP3P(
+        count, vectors, shifts = cv2.solveP3P(
             local[index].reshape(3, 1, 3), slopes[index].reshape(3, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_P3P
         )
-        poses += [(_floats(rotations[i]), _floats(translations[i])) for i in range(count)]
+        poses += [(_floats(vectors[i]), _floats(shifts[i])) for i in range(count)]
     for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_EPNP):
         found, rotation, translation = cv2.solvePnP(
             local.reshape(-1, 1, 3), slopes.reshape(-1, 1, 2), np.eye(3), None, flags=method
         )
         if found:
             poses.append((_floats(rotation), _floats(translation)))
-    views = []
-    for vector, translation in poses:
-        if not (np.isfinite(vector).all() and np.isfinite(translation).all()):
-            continue
-        turned = rotation_from_vector(vector)
-        view = View(lens, turned, origin - turned.T @ translation)
-        if np.median(view.in_camera(points)[:, 2]) > 0:
-            views.append(view)
-    return views
+    good = [(vector, shift) for vector, shift in poses if np.isfinite([*vector, *shift]).all()]
+    if not good:
+        return []
+    rotations = np.stack([rotation_from_vector(vector) for vector, _ in good])
+    seen_points = np.einsum("mij,nj->mni", rotations, local) + np.stack([shift for _, shift in good])[:, None]
+    depth = np.where(seen_points[..., 2] > 0, seen_points[..., 2], np.nan)
+    misses = np.sum((seen_points[..., :2] / depth[..., None] - slopes) ** 2, axis=-1)
+    # A gross error must cost no more than a large residual does, a point behind the camera as much.
+    score = np.log1p(np.nan_to_num(misses, nan=1e6) / ROUGH_SLOPE**2).sum(axis=1)
+    ahead = np.median(seen_points[..., 2], axis=1) > 0
+    best = [i for i in np.argsort(score).tolist() if ahead[i]][:MOST_VIEWS]
+    return [View(lens, rotations[i], origin - rotations[i].T @ good[i][1]) for i in best]
 
 
 def _triples(count: int) -> list[tuple[int, ...]]:

@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labdaemon.errors import DataError
+from labdaemon.flags import Flag
+from labdaemon.geometry import ImageMotion, Joined, ObjectMotion, join, join_targets, settle_by_continuity
+from labdaemon.geometry.harmonic import project_motion
+from labdaemon.geometry.orbit import principal_axes
+
+TWO = [(-500, -1000, 300), (500, -1000, 500)]
+THREE = [*TWO, (0, -1100, 900)]
+LEVEL = [(-500, -1000, 370), (500, -1000, 370)]
+SD_PX = 0.01
+
+
+def cameras(look, places):
+    return [look(place, roll=0.1 * i) for i, place in enumerate(places)]
+
+
+def picture(view, mean, a, b, rng, *, phased: bool = False, sd: float = SD_PX) -> ImageMotion:
+    """What a blur measurement reports of this motion: noise, and no more phase than it can see."""
+    numbers = project_motion(view.project_with_jacobians, np.stack([mean, a, b]))[0]
+    numbers = numbers + sd * rng.normal(size=6) * ([1, 1, 1, 1, 0, 0] if not np.any(b) and not phased else [1] * 6)
+    noise = np.eye(6) * max(sd, 1e-4) ** 2
+    if phased:
+        return ImageMotion(numbers[:2], numbers[2:4], numbers[4:], noise, True)
+    major, minor, noise = principal_axes(numbers[2:4], numbers[4:], noise)
+    return ImageMotion(numbers[:2], major * rng.choice([-1.0, 1.0]), minor, noise)
+
+
+def difference(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Error of a vector whose sign is not observable."""
+    return found - true if np.linalg.norm(found - true) < np.linalg.norm(found + true) else found + true
+
+
+coordinate = st.floats(-5, 5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    place=st.tuples(st.floats(-150, 150), st.floats(-80, 80), st.floats(150, 600)),
+    a=st.tuples(coordinate, coordinate, st.floats(0.5, 2)),
+    seed=st.integers(0, 99),
+)
+def test_straight_motion_comes_back_exactly(look, place, a, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mean, a = np.array(place), np.array(a)
+    joined = join(cameras(look, TWO), [picture(v, mean, a, 0 * a, rng, sd=0.0) for v in cameras(look, TWO)])
+    np.testing.assert_allclose(difference(joined.motion.a_mm, a), 0, atol=1e-4)
+    np.testing.assert_allclose(joined.motion.mean_mm, mean, atol=1e-4)
+    assert joined.motion.flags == frozenset()
+    assert joined.motion.a_mm[np.argmax(np.abs(joined.motion.a_mm))] > 0
+
+
+@settings(max_examples=15, deadline=None)
+@given(a=st.tuples(coordinate, coordinate, coordinate), b=st.tuples(coordinate, coordinate, coordinate))
+def test_phased_motion_comes_back_with_its_signs(look, a, b) -> None:
+    rng = np.random.default_rng(0)
+    mean, a, b = np.array([40.0, 20.0, 300.0]), np.array(a), np.array(b)
+    views = cameras(look, TWO)
+    joined = join(views, [picture(v, mean, a, b, rng, phased=True, sd=0.0) for v in views])
+    np.testing.assert_allclose(joined.motion.a_mm, a, atol=1e-4)
+    np.testing.assert_allclose(joined.motion.b_mm, b, atol=1e-4)
+    assert joined.settled_by == "phase"
+
+
+@pytest.mark.parametrize(
+    ("places", "kind"), [(TWO, "straight"), (THREE, "straight"), (TWO, "phased"), (THREE, "orbit")]
+)
+def test_vectors_and_their_stated_uncertainty(look, places, kind: str) -> None:
+    """95 % within 0.05 mm, at most 5 % flagged, pulls 0.8 to 1.3, nothing wrong without a flag."""
+    rng = np.random.default_rng(21)
+    views = cameras(look, places)
+    errors, pulls, flagged = [], [], 0
+    for _ in range(150):
+        mean = rng.uniform([-150, -80, 150], [150, 80, 600])
+        a = rng.normal(0, 1, 3) * [3, 2, 0.5]
+        b = np.zeros(3) if kind == "straight" else np.cross(a, rng.normal(0, 1, 3)) * rng.uniform(0.1, 0.5)
+        if kind != "phased":
+            a, b, _ = principal_axes(a, b, np.zeros((6, 6)))
+        if kind == "orbit" and np.linalg.norm(a) < 1.3 * np.linalg.norm(b):
+            continue  # a circle has no axes to compare
+        joined = join(views, [picture(v, mean, a, b, rng, phased=kind == "phased") for v in views])
+        if joined.motion.flags:
+            flagged += 1
+            continue
+        sd = np.sqrt(np.diag(joined.motion.covariance_mm2))
+        error = joined.motion.a_mm - a if kind == "phased" else difference(joined.motion.a_mm, a)
+        errors.append(np.linalg.norm(error))
+        pulls.append([*(error / sd[3:6]), *((joined.motion.mean_mm - mean) / sd[:3])])
+    assert np.quantile(errors, 0.95) < 0.05
+    assert flagged <= 0.05 * 150
+    assert max(errors) < 0.3
+    spread = np.std(pulls, axis=0)
+    assert np.all((spread > 0.8) & (spread < 1.3)), spread
+
+
+def test_camera_uncertainty_reaches_the_vectors(look) -> None:
+    """With cameras misplaced by their stated covariance the pulls stay true: it is carried into every row."""
+    rng = np.random.default_rng(3)
+    views = cameras(look, TWO)
+    half = rng.normal(size=(12, 12)) * np.tile([3e-4, 3e-4, 3e-4, 0.3, 0.3, 0.3], 2)[:, None] / np.sqrt(12)
+    covariance = half @ half.T
+    pulls, flagged = [], 0
+    for _ in range(150):
+        mean, a = rng.uniform([-150, -80, 150], [150, 80, 600]), rng.normal(0, 1, 3) * [30, 20, 5]
+        shift = half @ rng.normal(size=12)
+        seen = [picture(v.moved(shift[6 * i : 6 * i + 6]), mean, a, 0 * a, rng) for i, v in enumerate(views)]
+        motion = join(views, seen, covariance=covariance).motion
+        if Flag.AMBIGUOUS in motion.flags:
+            flagged += 1
+            continue
+        sd = np.sqrt(np.diag(motion.covariance_mm2))
+        pulls.append([*(difference(motion.a_mm, a) / sd[3:6]), *((motion.mean_mm - mean) / sd[:3])])
+    spread = np.std(pulls, axis=0)
+    assert np.all((spread > 0.8) & (spread < 1.3)), spread
+    assert flagged <= 0.05 * 150
+
+
+def test_level_cameras_and_level_motion_are_never_silently_wrong(look) -> None:
+    """All in the epipolar plane: both ways of matching the ends fit alike."""
+    rng = np.random.default_rng(7)
+    views = cameras(look, LEVEL)
+    wrong = 0
+    for _ in range(60):
+        mean = np.array([rng.uniform(-100, 100), rng.uniform(-60, 60), 370.0])
+        a = np.array([*rng.normal(0, 2, 2), 0.0])
+        joined = join(views, [picture(v, mean, a, 0 * a, rng) for v in views])
+        apart = np.linalg.norm(difference(joined.motion.a_mm, a))
+        if Flag.AMBIGUOUS in joined.motion.flags:
+            assert joined.alternative is not None
+            apart = min(apart, np.linalg.norm(difference(joined.alternative.a_mm, a)))
+            assert joined.motion.residual_ratio is not None
+            assert joined.motion.residual_ratio < 30
+        wrong += apart > 0.1
+    assert wrong == 0
+
+
+def test_a_third_camera_settles_it(look) -> None:
+    rng = np.random.default_rng(7)
+    views = cameras(look, [*LEVEL, (0, -1100, 900)])
+    mean, a = np.array([20.0, 10.0, 370.0]), np.array([3.0, 1.0, 0.0])
+    joined = join(views, [picture(v, mean, a, 0 * a, rng) for v in views])
+    assert joined.settled_by == "third camera"
+    assert Flag.AMBIGUOUS not in joined.motion.flags
+    np.testing.assert_allclose(joined.motion.a_mm, a, atol=0.03)
+
+
+def test_phase_settles_it(look) -> None:
+    rng = np.random.default_rng(7)
+    views = cameras(look, LEVEL)
+    mean, a = np.array([20.0, 10.0, 370.0]), np.array([-3.0, 1.0, 0.0])
+    joined = join(views, [picture(v, mean, a, 0.2 * a, rng, phased=True) for v in views])
+    assert joined.settled_by == "phase"
+    np.testing.assert_allclose(joined.motion.a_mm, a, atol=0.03)
+
+
+def test_continuity_along_a_member_settles_what_neighbours_tell(look) -> None:
+    """A column swaying in X: at the cameras' height the match is open, above and below it is not."""
+    rng = np.random.default_rng(1)
+    views = dict(zip("lr", cameras(look, LEVEL), strict=True))
+    heights = np.array([200.0, 250.0, 300.0, 370.0, 440.0, 500.0])
+    shape = {f"C{i}": np.array([4.0, 0.3, 0.0]) * height / 400 for i, height in enumerate(heights)}
+    shape = {name: a + np.array([0.0, 0.0, 0.3 * (i != 3)]) for i, (name, a) in enumerate(shape.items())}
+    pictures = {
+        name: {
+            camera: picture(view, np.array([30.0, 5.0, heights[i]]), a, 0 * a, rng) for camera, view in views.items()
+        }
+        for i, (name, a) in enumerate(shape.items())
+    }
+    open_ones = [n for n, seen in pictures.items() if join(list(views.values()), list(seen.values())).alternative]
+    assert open_ones == ["C3"]
+    result = join_targets(views, pictures, members=dict.fromkeys(shape, "column"))
+    assert result.settled_by["C3"] == "continuity"
+    for name, a in shape.items():
+        assert Flag.AMBIGUOUS not in result.motions[name].flags
+        np.testing.assert_allclose(result.motions[name].a_mm, a, atol=0.03)
+
+
+def test_continuity_does_not_guess(look) -> None:
+    """Neighbours that disagree, belong to another member or are too few settle nothing."""
+    nothing = np.zeros((9, 9))
+
+    def motion(x: float, a: tuple[float, float, float], *flags: Flag) -> ObjectMotion:
+        return ObjectMotion(np.array([x, 0, 0]), np.array(a), np.zeros(3), nothing, 1.1, frozenset(flags))
+
+    unsettled = Joined(motion(50, (2, 0, 0), Flag.AMBIGUOUS), motion(50, (0, 2, 0)))
+    disagree = {"a": Joined(motion(0, (2, 0, 0))), "b": Joined(motion(100, (0, 2, 0))), "x": unsettled}
+    assert settle_by_continuity(disagree)["x"] is unsettled
+    agree = {"a": Joined(motion(0, (2, 0, 0))), "b": Joined(motion(100, (2, 0, 0))), "x": unsettled}
+    assert settle_by_continuity(agree)["x"].settled_by == "continuity"
+    assert settle_by_continuity(agree, {"a": "1", "b": "1", "x": "2"})["x"] is unsettled
+    assert settle_by_continuity({"a": agree["a"], "x": unsettled})["x"] is unsettled
+    alone = {"x": unsettled, "y": unsettled}
+    assert settle_by_continuity(alone) == alone
+
+
+def test_an_orbit_seen_by_two_cameras_is_flagged_with_both_roots(look) -> None:
+    rng = np.random.default_rng(5)
+    views = cameras(look, TWO)
+    mean, a, b = np.array([20.0, 10.0, 250.0]), np.array([3.0, 0.5, 1.0]), np.array([-0.3, 1.2, 0.4])
+    b = b - (a @ b) / (a @ a) * a
+    joined = join(views, [picture(v, mean, a, b, rng) for v in views])
+    assert Flag.AMBIGUOUS in joined.motion.flags
+    assert joined.alternative is not None
+    apart = [np.linalg.norm(difference(m.a_mm, a)) for m in (joined.motion, joined.alternative)]
+    assert min(apart) < 0.05
+    third = cameras(look, THREE)
+    settled = join(third, [picture(v, mean, a, b, rng) for v in third])
+    assert settled.settled_by == "third camera"
+    np.testing.assert_allclose(difference(settled.motion.b_mm, b), 0, atol=0.05)
+
+
+def test_a_target_seen_by_one_camera_only(look) -> None:
+    rng = np.random.default_rng(5)
+    views = dict(zip("lr", cameras(look, TWO), strict=True))
+    mean, a = np.array([20.0, 10.0, 250.0]), np.array([3.0, 0.5, 0.1])
+    seen = {camera: picture(view, mean, a, 0 * a, rng) for camera, view in views.items()}
+    lost = ImageMotion(*[np.full(2, np.nan)] * 3, np.full((6, 6), np.nan))
+    result = join_targets(views, {"both": seen, "one": {"l": seen["l"]}, "lost": {"l": seen["l"], "r": lost}})
+    assert set(result.refused) == {"one", "lost"}
+    assert all("one camera only" in reason for reason in result.refused.values())
+    assert np.isnan(result.motions["one"].a_mm).all()
+    assert np.isfinite(result.motions["both"].a_mm).all()
+
+
+def test_two_different_targets_under_one_name_are_flagged(look) -> None:
+    rng = np.random.default_rng(5)
+    views = cameras(look, TWO)
+    a = np.array([3.0, 0.5, 0.1])
+    first = picture(views[0], np.array([20.0, 10.0, 250.0]), a, 0 * a, rng)
+    second = picture(views[1], np.array([20.0, 10.0, 290.0]), a, 0 * a, rng)
+    assert Flag.POOR_FIT in join(views, [first, second]).motion.flags
+
+
+def test_parallel_rays_are_refused(look) -> None:
+    rng = np.random.default_rng(5)
+    views = cameras(look, [(0, -1000, 300), (5, -1000, 300)])
+    a = np.array([3.0, 0.5, 0.1])
+    seen = [picture(v, np.array([20.0, 10.0, 250.0]), a, 0 * a, rng) for v in views]
+    with pytest.raises(DataError, match="nearly parallel"):
+        join(views, seen)
