@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from labdaemon.capture.devices import GaugeReading
@@ -28,8 +29,12 @@ KEEP_S = 60.0
 FIRST_READING_S = 2.0
 STUCK_READINGS = 100
 RATE_TOLERANCE = 0.05
-MOST_BAD = 0.02
-"""Share of a record that may be without a number."""
+MOST_BAD = 0.03
+"""Share of a record that may be without a number, or outliers."""
+OUTLIER = 10.0
+"""Residuals beyond this many times their median size (6.7 standard deviations) are no noise."""
+CLIPPED = 0.03
+"""Share of readings exactly at the top, and at the bottom, from which a record counts as clipped."""
 
 
 class GaugeSettings(PortSettings):
@@ -157,9 +162,13 @@ class LineGauge:
         if frequency_hz <= 0 or duration_s * frequency_hz < 1 or count < 8 or duration_s > KEEP_S:
             raise UsageError(f"{duration_s} s of {frequency_hz} Hz is no record to fit a sine to")
         y = self._record(count) * self._settings.scale
-        t = np.arange(y.size) / self._settings.rate_hz
+        self._judge(y)
         usable = np.isfinite(y)
-        self._judge(y, usable)
+        t = np.arange(y.size) / self._settings.rate_hz
+        residual = np.full(y.size, np.inf)
+        residual[usable] = np.abs(y[usable] - fit_sine(t[usable], y[usable], frequency_hz).at(t[usable], frequency_hz))
+        usable &= residual <= OUTLIER * max(float(np.median(residual[usable])), 1e-12)
+        self._check_share(usable, "outliers: check its cable and what it looks at")
         sine = fit_sine(t[usable], y[usable], frequency_hz)
         change = change_per_cycle(t[usable], y[usable], frequency_hz)
         return GaugeReading(sine.amplitude, sine.sd, sine.phase_rad, change)
@@ -231,15 +240,25 @@ class LineGauge:
                 device=self.name,
             )
 
-    def _judge(self, y: FloatArray, usable: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
+    def _judge(self, y: FloatArray) -> None:
+        """Refuse records that no sound gauge sends."""
+        usable = np.isfinite(y)
+        self._check_share(usable, "no numbers: target out of range, or wrong format")
+        values = y[usable]
+        low, high = float(values.min()), float(values.max())
+        if values.size >= STUCK_READINGS and low == high:
+            raise DeviceRefused(f"stuck at {low:g} {self.unit}; check its target and cable", device=self.name)
+        ends = [float(np.mean(values == end)) for end in (low, high)]
+        if min(ends) > CLIPPED:
+            raise DeviceRefused(
+                f"clipped at {low:g} and {high:g} {self.unit}: beyond its range; move it or choose a larger range",
+                device=self.name,
+            )
+
+    def _check_share(self, usable: NDArray[np.bool_], complaint: str) -> None:
         bad = 1 - float(usable.mean())
         if bad > MOST_BAD:
-            raise DeviceRefused(
-                f"{bad:.0%} of its record is no number: target out of range, or wrong format", device=self.name
-            )
-        values = y[usable]
-        if values.size >= STUCK_READINGS and np.all(values == values[0]):
-            raise DeviceRefused(f"stuck at {values[0]:g} {self.unit}; check its target and cable", device=self.name)
+            raise DeviceRefused(f"{bad:.0%} of its record are {complaint}", device=self.name)
 
     def _raise_fault(self) -> None:
         if self._fault is not None:

@@ -132,10 +132,10 @@ class ScpiShaker:
         TransportError, ProtocolError
             The wire or the answers failed; the table may be moving: stop it.
         """
+        self._halt.clear()
         self._check_limits(frequency_hz, amplitude_mm)
         if abs(math.log(frequency_hz / (self._trim_at_hz or frequency_hz))) > math.log(1.02):
             self._trim = 1.0
-        self._halt.clear()
         now = self.state()
         if now.running and math.isnan(now.amplitude_mm):
             self._switch_off()  # running at a frequency without calibration: nobody knows how far

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError
 from labdrivers.scpi_commands import Commands
@@ -18,6 +19,7 @@ from labdrivers.serial_line import SerialLine
 
 LONGEST_QUEUE = 30
 """Keysight's error queues hold 20; more entries than this are no queue."""
+T = TypeVar("T")
 
 
 class ScpiLink:
@@ -91,30 +93,35 @@ class ScpiLink:
 
     def ask_number(self, question: str) -> float:
         """A question whose answer is a number; asked once more if it is not."""
-        answer = self.ask(question)
-        for last in (False, True):
-            try:
-                value = float(answer.split(",")[0].split()[0])
-                if math.isfinite(value):
-                    return value
-            except (ValueError, IndexError):
-                pass
-            self._dirty = True
-            if not last:
-                answer = self.ask(question)
-        raise ProtocolError(f"answered {answer!r} to {question!r}, where a number belongs", device=self.device)
+        return self._ask_parsed(question, _number, "where a number belongs")
 
     def ask_switch(self, question: str) -> bool:
         """Whether an output is on; asked once more if the answer is neither on nor off."""
-        answer = ""
-        for _ in range(2):
-            answer = self.ask(question)
+
+        def switch(answer: str) -> bool:
             if answer.upper() in self._commands.on_replies:
                 return True
             if answer.upper() in self._commands.off_replies:
                 return False
-            self._dirty = True
-        raise ProtocolError(f"answered {answer!r} to {question!r}, neither on nor off", device=self.device)
+            raise ValueError
+
+        return self._ask_parsed(question, switch, "which is neither on nor off")
+
+    def _ask_parsed(self, question: str, parse: Callable[[str], T], complaint: str) -> T:
+        for last in (False, True):
+            try:
+                answer = self.ask(question)
+                try:
+                    return parse(answer)
+                except ValueError:
+                    self._dirty = True
+                    raise ProtocolError(
+                        f"answered {answer!r} to {question!r}, {complaint}", device=self.device
+                    ) from None
+            except ProtocolError:
+                if last:
+                    raise
+        raise AssertionError("unreachable")
 
     def check_errors(self, doing: str) -> None:
         """Empty the error queue; raise `DeviceRefused` with its entries if there were any."""
@@ -122,12 +129,7 @@ class ScpiLink:
             return
         errors: list[str] = []
         for _ in range(LONGEST_QUEUE):
-            entry = self.ask(self._commands.error)
-            try:
-                number = int(float(entry.split(",")[0]))
-            except ValueError:
-                self._dirty = True
-                raise ProtocolError(f"answered {entry!r} where an error number belongs", device=self.device) from None
+            number, entry = self._ask_parsed(self._commands.error, _entry, "where an error number belongs")
             if number == 0:
                 break
             errors.append(entry)
@@ -168,3 +170,16 @@ class ScpiLink:
         except DeviceError:
             self._dirty = True
             raise
+
+
+def _number(answer: str) -> float:
+    """First number of an answer, whatever unit follows it."""
+    value = float(answer.replace(",", " ").split()[0] if answer.strip() else "")
+    if not math.isfinite(value):
+        raise ValueError(answer)
+    return value
+
+
+def _entry(answer: str) -> tuple[int, str]:
+    """Number and whole text of an error queue's entry."""
+    return int(float(answer.split(",", maxsplit=1)[0])), answer

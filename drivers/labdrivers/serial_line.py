@@ -120,8 +120,11 @@ class SerialLine:
         """Give the port back; harmless when it is closed or gone."""
         port, self._port = self._port, None
         if port is not None:
+            peer = getattr(port, "_socket", None)
             with suppress(*OPEN_FAULTS):  # the peer may have gone first: there is nothing left to close
                 port.close()
+            if peer is not None:
+                peer.close()  # pyserial forgets to, when the other side hung up first
 
     def write(self, data: bytes) -> None:
         """Send bytes whole, never interleaved with another thread's."""

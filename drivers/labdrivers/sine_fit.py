@@ -37,6 +37,10 @@ class Sine:
     offset: float
     residual_rms: float
 
+    def at(self, t_s: FloatArray, frequency_hz: float) -> FloatArray:
+        """Values (n,) at times (n,) of the record."""
+        return np.asarray(self.amplitude * np.sin(2 * math.pi * frequency_hz * t_s + self.phase_rad) + self.offset)
+
 
 def fit_sine(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> Sine:
     """Fit a sine of known frequency (IEEE 1057, three parameters).
@@ -74,8 +78,7 @@ def change_per_cycle(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> flo
         return math.nan
     cycle = np.floor((t_s - t_s[0]) * frequency_hz + 1e-9).astype(int)
     amplitudes = np.array([fit_sine(t_s[cycle == k], y[cycle == k], frequency_hz).amplitude for k in range(cycles)])
-    mean = float(amplitudes.mean())
-    if mean == 0.0:
+    if not amplitudes.all():
         return math.nan
     halves = (amplitudes[: (cycles + 1) // 2], amplitudes[cycles // 2 :]) if cycles >= 4 else (amplitudes,)
-    return max(abs(float(np.polyfit(np.arange(half.size), half, 1)[0])) for half in halves) / mean
+    return max(abs(float(np.polyfit(np.arange(half.size), half, 1)[0] / half.mean())) for half in halves)

@@ -111,11 +111,12 @@ class UsbPipe:
         return header, bytes(data[HEADER.size :])
 
     def _read_to_short(self, data: bytearray, deadline: float) -> None:
-        last = len(data)
-        while last and last % self._packet == 0:
+        """Go on until a transfer brings less than was asked for: a short packet, or an empty one, ended it."""
+        ended = len(data) % self._packet != 0
+        while not ended:
             chunk = self._in_read(BIGGEST_READ, deadline)
             data += chunk
-            last = len(chunk)
+            ended = len(chunk) < BIGGEST_READ
 
     def _read(self, size: int, deadline: float, *, first: bool = False) -> bytes:
         """One transfer; an empty one is a late zero-length packet and is read over once."""

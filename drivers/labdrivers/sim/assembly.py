@@ -10,7 +10,6 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from functools import lru_cache
 from pathlib import Path
 
 from labdrivers.sim.faults import Faults
@@ -134,14 +133,18 @@ class SimulatedRig:
 
 
 _DEFAULT_LOCK = threading.Lock()
+_DEFAULT: list[SimulatedRig] = []
 
 
 def default_rig() -> SimulatedRig:
     """The rig of this process, made when first asked for."""
     with _DEFAULT_LOCK:
-        return _make_default()
+        if not _DEFAULT:
+            _DEFAULT.append(SimulatedRig())
+        return _DEFAULT[0]
 
 
-@lru_cache
-def _make_default() -> SimulatedRig:
-    return SimulatedRig()
+def set_default_rig(rig: SimulatedRig | None) -> None:
+    """Make another rig the one of this process; None forgets it, so that the next use makes a new one."""
+    with _DEFAULT_LOCK:
+        _DEFAULT[:] = [] if rig is None else [rig]

@@ -28,6 +28,11 @@ FAULTS = {
     "out_of_range": "sends `----.----` as gauges do when the target is out of range",
     "drifting_gain": "reads `value` times too much (default 1.2)",
     "noisy": "has `value` units of noise (default 1)",
+    "clips": "reads no further than `value` units from zero (default 0.5)",
+    "spikes": "one reading in a hundred is off by `value` units (default 50)",
+    "no_line_end": "sends digits without ever ending a line",
+    "half_lines": "loses the second half of every line",
+    "bursts": "sends nothing for `value` seconds at a time (default 0.3), then all at once",
 }
 BLOCK_S = 0.02
 Probe = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -89,7 +94,7 @@ class GaugeDevice(WireDevice):
             self._listening.wait()
             start, sent = self._clock(), 0
             while self._listening.is_set() and not self._off.is_set():
-                time.sleep(BLOCK_S)
+                time.sleep(self.faults.value("bursts", 0.3) if self.faults.is_on("bursts") else BLOCK_S)
                 due = int((self._clock() - start) * self._rate_hz)
                 if due > sent:
                     self._send_block(start + (np.arange(sent, due) + 1) / self._rate_hz, sent)
@@ -101,6 +106,11 @@ class GaugeDevice(WireDevice):
             values = values * self.faults.value("drifting_gain", 1.2)
         noise = self.faults.value("noisy", 1.0) if self.faults.is_on("noisy") else self._noise
         values = values + self._random.normal(0.0, noise, values.size)
+        if self.faults.is_on("clips"):
+            most = self.faults.value("clips", 0.5)
+            values = np.clip(values, -most, most)
+        if self.faults.is_on("spikes"):
+            values = values + (self._random.random(values.size) < 0.01) * self.faults.value("spikes", 50.0)
         if self.faults.is_on("stuck"):
             values = np.full(values.size, self._last)
         self._last = float(values[-1])
@@ -113,10 +123,14 @@ class GaugeDevice(WireDevice):
             self.hang_up()
         elif self.faults.is_on("rubbish"):
             self.send(self._random.bytes(8 * values.size))
+        elif self.faults.is_on("no_line_end"):
+            self.send(b"0" * 8 * values.size)
         elif not self.faults.is_on("silent"):
             self.send(b"".join(map(self._record, values)))
 
     def _record(self, value: float) -> bytes:
+        if self._form == "line" and self.faults.is_on("half_lines"):
+            return f"{value:+010.4f}"[:4].encode() + b"\n" * int(self._random.random() < 0.5)
         if self._form == "line":
             return b"----.----\r\n" if self.faults.is_on("out_of_range") else f"{value:+010.4f}\r\n".encode()
         count = struct.pack("<i", round(value * 1e4))

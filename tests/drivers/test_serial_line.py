@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from labdaemon.errors import ConfigError, ProtocolError, TransportError
+from labdrivers.serial_line import PortSettings, SerialLine
+from labdrivers.sim.wire import PtyPort, TcpPort, WireDevice
+
+
+class Echo(WireDevice):
+    """Says what it is told to, and keeps what it hears."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard = bytearray()
+
+    def receive(self, data: bytes) -> None:
+        self.heard += data
+        self.send(data)
+
+
+@pytest.fixture(params=["pty", "tcp"])
+def wire(request):
+    device = Echo()
+    port = PtyPort(device) if request.param == "pty" else TcpPort(device)
+    url = port.path if request.param == "pty" else port.url
+    line = SerialLine("box", PortSettings(port=url, timeout_s=0.5), raise_lines=False)
+    line.open()
+    yield device, port, line
+    line.close()
+    port.close()
+
+
+def until(seconds: float) -> float:
+    return time.monotonic() + seconds
+
+
+def test_lines_come_back_whole_however_they_are_cut(wire):
+    device, _, line = wire
+    line.write(b"one\r\ntw")
+    assert line.read_line(until(1)) == b"one"
+    line.write(b"o\n\r\n\nthree\n")
+    assert line.read_line(until(1)) == b"two"
+    assert line.read_line(until(1)) == b"three"
+    assert bytes(device.heard) == b"one\r\ntwo\n\r\n\nthree\n"
+
+
+def test_silence_ends_at_the_deadline_and_says_what_came(wire):
+    _, _, line = wire
+    line.write(b"half")
+    start = time.monotonic()
+    with pytest.raises(TransportError, match=r"box: no answer on .*only b'half' came.*check power"):
+        line.read_line(until(0.2))
+    assert time.monotonic() - start < 0.6
+
+
+def test_bytes_without_an_end_of_line_are_rubbish(wire):
+    _, _, line = wire
+    line.write(b"U" * 5000)
+    with pytest.raises(ProtocolError, match="baud rate"):
+        line.read_line(until(2))
+
+
+def test_discard_throws_everything_away(wire):
+    _, _, line = wire
+    line.write(b"old rubbish\nmore")
+    assert line.discard(quiet_s=0.1) == b"old rubbish\nmore"
+    line.write(b"new\n")
+    assert line.read_line(until(1)) == b"new"
+
+
+def test_a_closed_peer_is_a_transport_error_at_once(wire):
+    device, port, line = wire
+    line.write(b"x\n")
+    line.read_line(until(1))
+    device.hang_up() if isinstance(port, TcpPort) else port.close()
+    start = time.monotonic()
+    with pytest.raises(TransportError, match="lost while"):
+        while time.monotonic() < start + 2:
+            line.write(b"anyone?\n")
+            line.read_line(until(0.3))
+    assert time.monotonic() - start < 1.5
+    line.close()
+    with pytest.raises(TransportError, match="not connected"):
+        line.write(b"x")
+
+
+@pytest.mark.parametrize(
+    ("url", "error", "words"),
+    [
+        ("/dev/does-not-exist", TransportError, "does not open"),
+        ("socket://127.0.0.1:1", TransportError, "does not open"),
+        ("nonsense://x", ConfigError, "protocol 'nonsense' not known"),
+        ("socket://nothing", (ConfigError, TransportError), "socket://nothing"),
+        ("sim://toaster", TransportError, "no simulated device 'toaster'"),
+    ],
+)
+def test_ports_that_do_not_open(rig, url, error, words):
+    with pytest.raises(error, match="box") as caught:
+        SerialLine("box", PortSettings(port=url)).open()
+    assert words in str(caught.value)
+
+
+def test_a_port_can_be_opened_again(wire):
+    _, _, line = wire
+    line.close()
+    line.open()
+    line.write(b"again\n")
+    assert line.read_line(until(1)) == b"again"
