@@ -13,26 +13,26 @@ from labdaemon import __version__
 from labdaemon.errors import LabdaemonError
 
 COMMANDS = {
-    "demo": "labdaemon.cli.demo:demo",
-    "run": "labdaemon.cli.run:run",
-    "submit": "labdaemon.cli.remote:submit",
-    "status": "labdaemon.cli.remote:status",
-    "watch": "labdaemon.cli.remote:watch",
-    "pause": "labdaemon.cli.remote:pause",
-    "resume": "labdaemon.cli.remote:resume",
-    "abort": "labdaemon.cli.remote:abort",
-    "capture": "labdaemon.cli.remote:capture",
-    "stop": "labdaemon.cli.remote:stop",
-    "safe-stop": "labdaemon.cli.run:safe_stop",
-    "plan": "labdaemon.cli.plan:plan",
-    "measure": "labdaemon.cli.measure:measure",
-    "process": "labdaemon.cli.process:process",
-    "calibrate": "labdaemon.cli.calibrate:calibrate",
-    "report": "labdaemon.cli.report:report",
-    "targets": "labdaemon.cli.targets:targets",
-    "bench": "labdaemon.cli.bench:bench",
+    "demo": ("labdaemon.cli.demo:demo", "Run a campaign on a simulated rig and compare it with the truth."),
+    "run": ("labdaemon.cli.run:run", "Run the daemon for a rig until Ctrl-C or SIGTERM."),
+    "submit": ("labdaemon.cli.remote:submit", "Give a campaign to the daemon."),
+    "status": ("labdaemon.cli.remote:status", "What the daemon is doing."),
+    "watch": ("labdaemon.cli.remote:watch", "Follow the daemon's events."),
+    "pause": ("labdaemon.cli.remote:pause", "Hold the campaign; the table comes to rest."),
+    "resume": ("labdaemon.cli.remote:resume", "Go on with a campaign that was paused."),
+    "abort": ("labdaemon.cli.remote:abort", "End the campaign; the table comes to rest."),
+    "capture": ("labdaemon.cli.remote:capture", "Fire all shutters once, now."),
+    "stop": ("labdaemon.cli.remote:stop", "Bring the shaker to rest now."),
+    "safe-stop": ("labdaemon.cli.run:safe_stop", "Bring the table to rest when the daemon has died."),
+    "plan": ("labdaemon.cli.plan:plan", "Every step of a campaign, checked against a rig."),
+    "measure": ("labdaemon.cli.measure:measure", "Motion in pixels from a sharp and blurred frames."),
+    "process": ("labdaemon.cli.process:process", "Envelopes in millimetres from a data-set folder."),
+    "report": ("labdaemon.cli.report:report", "A page about a data-set folder's results."),
+    "calibrate": ("labdaemon.cli.calibrate:calibrate", "Calibrate a camera, the shaker or a shutter."),
+    "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
+    "bench": ("labdaemon.cli.bench:bench", "Measure labdaemon itself."),
 }
-"""Subcommand -> where it lives. Imported only when asked for, so that `--help` and `stop` start at once."""
+"""Subcommand -> where it lives and its line in `--help`. Imported only when called, so that `stop` starts at once."""
 
 
 class LazyGroup(click.Group):
@@ -44,8 +44,12 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module, _, attribute = COMMANDS[cmd_name].partition(":")
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
         return cast(click.Command, getattr(import_module(module), attribute))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
