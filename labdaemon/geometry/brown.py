@@ -189,18 +189,22 @@ def forward_from_backward(brown: BrownLens) -> tuple[Lens, float]:
     focal = (brown.camera_constant_mm / width, brown.camera_constant_mm / height)
     centre = (brown.principal_point_mm[0] / height - 0.5, brown.principal_point_mm[1] / height - 0.5)
     lens = Lens(brown.image_size, focal, centre)
+    nothing = "this lens has no counterpart in OpenCV's model: check its coefficients and units"
     for _ in range(20):
         design = lens.parameter_jacobian(slopes).reshape(-1, 9)
         miss = (pixels - lens.distort(slopes)).ravel()
         usable = np.isfinite(miss) & np.isfinite(design).all(axis=1)
         scale = np.linalg.norm(design[usable], axis=0)
         step = np.linalg.lstsq(design[usable] / scale, miss[usable], rcond=None)[0] / scale
-        lens = lens.with_parameters(lens.parameters + step)
+        try:
+            lens = lens.with_parameters(lens.parameters + step)
+        except DataError as exc:
+            raise DataError(nothing) from exc
         if np.all(np.abs(step) <= 1e-12 * (1.0 + np.abs(lens.parameters))):
             break
     worst = float(np.abs(pixels - lens.distort(slopes)).max())
     if not worst < 0.01 * max(brown.image_size):
-        raise DataError("this lens has no counterpart in OpenCV's model: check its coefficients and units")
+        raise DataError(nothing)
     return lens, worst
 
 

@@ -134,5 +134,5 @@ def check_network(network: Network, names: Sequence[str]) -> None:
     sights = np.bincount(network.picture, minlength=len(network.poses))
     if np.any(sights < 3):
         raise DataError(f"picture {int(np.argmin(sights)) + 1} shows only {sights.min()} points: three are needed")
-    if not network.datum and np.isfinite(network.survey_sd).sum() < 7:
+    if not network.datum and np.isfinite(network.survey_sd).sum() + len(network.bars) < 7:
         raise DataError("neither control points nor a free network: nothing says where and how large the object is")

@@ -48,7 +48,7 @@ class GrossError:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tests:
+class ObservationTests:
     """Test values of all observations of an adjustment.
 
     Attributes
@@ -69,7 +69,7 @@ class Tests:
     detectable_px: FloatArray
 
 
-def test_observations(adjustment: Adjustment) -> Tests:
+def observation_tests(adjustment: Adjustment) -> ObservationTests:
     """Test every observation of an adjustment against its stated standard deviation."""
     network = adjustment.network
     variance = 1.0 / network.weights
@@ -84,7 +84,7 @@ def test_observations(adjustment: Adjustment) -> Tests:
     # Non-centrality of a test of one direction at 0.1 % and 80 %: (3.29 + 0.84)².
     detectable[checked] = 4.13 * np.sqrt(variance[checked] / share[checked])
     survey, survey_error = _test_survey(adjustment)
-    return Tests(sightings, share, survey, survey_error, detectable)
+    return ObservationTests(sightings, share, survey, survey_error, detectable)
 
 
 def _test_survey(adjustment: Adjustment) -> tuple[FloatArray, FloatArray]:
@@ -114,7 +114,7 @@ def find_gross_error(adjustment: Adjustment, names: Sequence[str]) -> GrossError
 
     Residuals larger than stated throughout (sigma0 above 1) raise the limit: they are a matter of weights.
     """
-    network, tests = adjustment.network, test_observations(adjustment)
+    network, tests = adjustment.network, observation_tests(adjustment)
     sd = network.survey_sd
     freedom = ((sd > 0) & np.isfinite(sd)).sum(axis=1)
     typical = float(np.median(tests.sightings)) / float(chi2.median(2)) if len(tests.sightings) else 1.0
