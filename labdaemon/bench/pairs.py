@@ -1,0 +1,149 @@
+"""Reported motions beside the true ones."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labdaemon.blur.pixels import FloatArray
+
+NEAR_MM = 12.0
+"""A reported target farther than this from a true one is another."""
+
+HARMLESS = frozenset({"at_rest", "part_cycles"})
+"""Flags that do not say the number is bad: it is compared all the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """One target of one capture, as it moved and as it was measured.
+
+    Attributes
+    ----------
+    diameter_mm
+        Of the dot.
+    true_a, true_b, a, b
+        (3,) semi-amplitude vectors of sine and cosine, mm; a and b NaN where not measured.
+    sd_mm
+        Stated standard deviation of the major semi-axis' length.
+    flags
+        As reported.
+    """
+
+    diameter_mm: float
+    true_a: FloatArray
+    true_b: FloatArray
+    a: FloatArray
+    b: FloatArray
+    sd_mm: float
+    flags: frozenset[str]
+
+    @property
+    def compared(self) -> bool:
+        """Whether there is a number that the report stands by."""
+        return bool(np.isfinite(self.a).all()) and not self.flags - HARMLESS
+
+    @property
+    def true_mm(self) -> float:
+        """True major semi-axis."""
+        return float(np.linalg.norm(axes(self.true_a, self.true_b)[0]))
+
+    @property
+    def error_mm(self) -> float:
+        """Measured minus true major semi-axis."""
+        return float(np.linalg.norm(axes(self.a, self.b)[0])) - self.true_mm
+
+    @property
+    def minor_error_mm(self) -> float:
+        """Measured minus true minor semi-axis."""
+        return float(np.linalg.norm(axes(self.a, self.b)[1]) - np.linalg.norm(axes(self.true_a, self.true_b)[1]))
+
+    @property
+    def direction_error_deg(self) -> float:
+        """Angle between the measured and the true major axis."""
+        u, v = axes(self.a, self.b)[0], axes(self.true_a, self.true_b)[0]
+        sine = np.linalg.norm(np.cross(u, v))
+        return math.degrees(math.atan2(float(sine), abs(float(u @ v))))
+
+    @property
+    def phase_error_deg(self) -> float:
+        """Mean angle by which the measured phasor a + ib leads the true one."""
+        overlap = np.vdot(self.true_a + 1j * self.true_b, self.a + 1j * self.b)
+        return math.degrees(float(np.angle(overlap)))
+
+
+def axes(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Major and minor semi-axis vectors of the orbit a·sin + b·cos."""
+    turn = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a - b @ b))
+    u = math.cos(turn) * a + math.sin(turn) * b
+    v = math.cos(turn) * b - math.sin(turn) * a
+    return (u, v) if u @ u >= v @ v else (v, u)
+
+
+def read_truth(folder: Path) -> list[dict[str, Any]]:
+    """Rows of a rendered folder's `truth.csv`, numbers as floats."""
+    with (folder / "truth.csv").open(encoding="utf-8", newline="") as file:
+        return [
+            {k: v if k in ("capture", "target") else float(v) for k, v in row.items()} for row in csv.DictReader(file)
+        ]
+
+
+def pair_up(truth: Sequence[Mapping[str, Any]], rows: Iterable[Mapping[str, Any]]) -> list[Pair]:
+    """Match each true target with the nearest reported one of its capture.
+
+    Parameters
+    ----------
+    truth
+        From `read_truth`.
+    rows
+        Rows of `envelope.csv`: numbers as floats or None, flags as a list.
+    """
+    reported: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        reported.setdefault(str(row["capture"]), []).append(row)
+    return [_pair(true, reported.get(str(true["capture"]), [])) for true in truth]
+
+
+def _pair(true: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Pair:
+    place = np.array([true["x_mm"], true["y_mm"], true["z_mm"]])
+    found: Mapping[str, Any] = {}
+    nearest = NEAR_MM
+    for row in rows:
+        distance = float(np.linalg.norm(_vector(row, "") - place))
+        if distance < nearest:
+            nearest, found = distance, row
+    a, b = _vector(found, "a"), _vector(found, "b")
+    if np.isfinite(a).all():
+        b = np.nan_to_num(b)
+    return Pair(
+        true["diameter_mm"],
+        np.array([true["ax"], true["ay"], true["az"]]),
+        np.array([true["bx"], true["by"], true["bz"]]),
+        a,
+        b,
+        _sd(found, a, b),
+        frozenset(found["flags"]) if found else frozenset({"not_found"}),
+    )
+
+
+def _vector(row: Mapping[str, Any], prefix: str) -> FloatArray:
+    values = [row.get(f"{prefix}{axis}_mm") for axis in "xyz"]
+    return np.array([math.nan if value is None else float(value) for value in values])
+
+
+def _sd(row: Mapping[str, Any], a: FloatArray, b: FloatArray) -> float:
+    """Of the major semi-axis' length, from those of its components (their correlations are not in the file)."""
+    if not np.isfinite(a).all():
+        return math.nan
+    major = axes(a, b)[0]
+    length = float(np.linalg.norm(major))
+    along = np.abs(major) / length if length > 0 else np.full(3, 3**-0.5)
+    # with a phase the major axis mixes a and b, whose deviations are alike
+    sd = np.nan_to_num(_vector(row, "sd_a"))
+    return float(np.linalg.norm(along * sd))

@@ -1,0 +1,93 @@
+"""`labdaemon bench`: how accurate and fast the measurement is, and how the daemon bears faults, without hardware."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import cast
+
+import click
+
+ELSEWHERE = {name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock")}
+"""Subcommands that live with what they try out; imported only when asked for."""
+
+
+class _BenchGroup(click.Group):
+    """Its own commands, and those of `ELSEWHERE`."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*super().list_commands(ctx), *ELSEWHERE]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in ELSEWHERE:
+            module, _, attribute = ELSEWHERE[cmd_name].partition(":")
+            return cast(click.Command, getattr(import_module(module), attribute))
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=_BenchGroup)
+def bench() -> None:
+    """Measure the measurement, on frames rendered by the simulator."""
+
+
+@bench.command()
+@click.option("--seed", "seeds", type=int, multiple=True, default=(1,), show_default=True, help="May be given again.")
+@click.option("--quick", is_flag=True, help="One frame a case, fewer cases.")
+@click.option("--only", multiple=True, metavar="CASE", help="Run this case only; may be given again.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Where the figure goes.")
+@click.option("--keep", type=click.Path(file_okay=False, path_type=Path), help="Leave the rendered folders here.")
+@click.option("--workers", type=click.IntRange(0), default=0, help="Processes; 0 for one a core.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def accuracy(
+    seeds: tuple[int, ...],
+    quick: bool,
+    only: tuple[str, ...],
+    out: Path | None,
+    keep: Path | None,
+    workers: int,
+    as_json: bool,
+) -> None:
+    """The published method and ours on the same rendered frames, beside the Cramér–Rao bound."""
+    from labdaemon.bench.accuracy import run_accuracy
+    from labdaemon.bench.accuracy_text import document, lines
+    from labdaemon.bench.cases import cases
+
+    unknown = set(only) - {case.key for case in cases(quick)}
+    if unknown:
+        known = ", ".join(case.key for case in cases(quick))
+        raise click.UsageError(f"no case {', '.join(sorted(unknown))}; there are: {known}")
+    result = run_accuracy(
+        tuple(seeds),
+        quick=quick,
+        only=frozenset(only) or None,
+        keep=keep,
+        workers=workers,
+        tell=lambda text: click.echo(text, err=True),
+    )
+    if as_json:
+        click.echo(json.dumps(document(result)))
+    else:
+        for line in lines(result):
+            click.echo(line)
+    if out is not None and any(case.case.pooled for case in result.cases):
+        from labdaemon.bench.chart import draw
+
+        draw(result, out / "accuracy.png")
+        click.echo(f"figure: {out / 'accuracy.png'}", err=True)
+
+
+@bench.command()
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("--repeat", type=click.IntRange(1), default=5, show_default=True, help="The fastest of so many counts.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def speed(seed: int, repeat: int, as_json: bool) -> None:
+    """60 targets of 31 px in one 10-megapixel frame, on one core."""
+    from labdaemon.bench.speed import document, lines, run_speed
+
+    result = run_speed(seed, repeat)
+    if as_json:
+        click.echo(json.dumps(document(result)))
+        return
+    for line in lines(result):
+        click.echo(line)
