@@ -132,9 +132,9 @@ def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str
         if measurement is None or not _measured(measurement):
             continue
         picture = _image_motion(measurement)
-        if frame.motions and camera.orientation is not None:
+        if frame.motions:
             place = plane.to_object(plane.to_plane(picture.mean_px[None]))
-            shifts = [m.view.project(place) - camera.orientation.view.project(place) for m in frame.motions]
+            shifts = [m.view.project(place) - camera.view.project(place) for m in frame.motions]
             picture = replace(picture, mean_px=picture.mean_px - np.mean(shifts, axis=0)[0])
         motion = motion_on_plane(plane, picture)
         if np.isfinite(motion.mean_mm).all():
@@ -146,14 +146,13 @@ def _in_space(sharp: SharpSet, frames: Sequence[FrameResult], by_target: _Seen) 
     """Several cameras: each as it stood in this capture."""
     views = {}
     for camera, frame in zip(sharp.cameras, frames, strict=True):
-        assert camera.orientation is not None
         # The captures of a group lie apart by less than a camera moves; the first one's place stands for all.
-        views[camera.name] = frame.motions[0].view if frame.motions else camera.orientation.view
+        views[camera.name] = frame.motions[0].view if frame.motions else camera.view
     pictures = {
         target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
         for target, seen in by_target.items()
     }
-    joined = join_targets(views, pictures)
+    joined = join_targets(views, pictures, covariance=sharp.covariance)
     return {
         target: motion
         for target, motion in joined.motions.items()

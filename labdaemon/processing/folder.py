@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from labdaemon.blur.motion import Window
 from labdaemon.errors import ConfigError, DataError
+from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_misspelt
 from labdaemon.processing.survey import ControlPoint, TargetPlace, read_control, read_targets
 
@@ -142,6 +143,7 @@ def open_folder(root: Path) -> DataFolder:
     if not root.is_dir():
         raise DataError("is not a folder", file=root)
     rig = read_rig(root / "rig.toml")
+    check_family(rig.control.family, root / "rig.toml")
     control = read_control(root / "control.csv", rig.control.size_mm)
     places = root / "targets.csv"
     return DataFolder(root, rig, control, read_targets(places, control) if places.exists() else ())

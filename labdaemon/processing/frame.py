@@ -8,12 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur.group import measure_group
-from labdaemon.blur.frame import measure_frame
-from labdaemon.blur.measure import nothing
-from labdaemon.blur.motion import Measurement, Start, Window
-from labdaemon.blur.pixels import Patch
-from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur import Measurement, Patch, SharpTarget, Start, Window, measure_frame, measure_group
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
@@ -30,6 +25,12 @@ MOVED_PX = 1.0
 """Shift of a frame's control targets from which its measurements are flagged. Less is corrected and harms nothing."""
 PATCH_REACH_PX = 40
 """How far a textured patch may have moved."""
+
+
+def nothing(target: SharpTarget) -> Measurement:
+    """A measurement without numbers, of a target that is not in the frame."""
+    lost = np.full(2, np.nan)
+    return Measurement(target.name, lost, lost, lost, np.full((6, 6), np.nan), flags=frozenset({Flag.NOT_FOUND}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +176,7 @@ def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> 
         extra_blur=look.shift.extra_blur,
         starts=[Start(smear.centre_px, smear.a_px, smear.b_px) for smear in smears],
     )
-    result = [nothing(target, {Flag.NOT_FOUND}) for target in camera.targets]
+    result = [nothing(target) for target in camera.targets]
     for index, one in zip(found, measured, strict=True):
         result[index] = one
     return result
@@ -189,7 +190,7 @@ def _measure_together(
     smears = [look.smears[index] for look in looks]
     known = [window for window in windows if window is not None and window.phase_rad is not None]
     if len(known) < len(windows) or any(smear is None for smear in smears):
-        return nothing(target, {Flag.NOT_FOUND})
+        return nothing(target)
     cuts, starts, blurs = [], [], []
     for look, smear in zip(looks, smears, strict=True):
         assert smear is not None

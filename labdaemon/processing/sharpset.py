@@ -13,11 +13,11 @@ from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.plane import Plane, fit_plane
-from labdaemon.geometry.view import View
 from labdaemon.processing.correspond import SeenDots, correspond, meet
 from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
 from labdaemon.processing.naming import names_in_space, names_like, near_places
 from labdaemon.processing.prepare import CameraSurvey, PreparedCamera, prepare_camera
+from labdaemon.processing.stations import excluded, seen_dots, stand_together
 from labdaemon.processing.survey import ControlPoint
 
 SIZE_TOLERANCE = 0.25
@@ -44,6 +44,8 @@ class SharpSet:
         (n,) False where which dot of one camera is which of another is a guess.
     plane
         The plane of motion, with one camera.
+    covariance
+        (6 c, 6 c) joint covariance of the cameras' exterior orientations, with several.
     control
         The survey.
     method
@@ -58,6 +60,7 @@ class SharpSet:
     places_mm: FloatArray
     sure: NDArray[np.bool_]
     plane: Plane | None
+    covariance: FloatArray | None
     control: tuple[ControlPoint, ...]
     method: str
     notes: tuple[str, ...]
@@ -100,9 +103,11 @@ def assemble(
         No target can be made of the dots seen.
     """
     sizes = folder.rig.targets.diameter_mm
-    notes = [note for camera in prepared for note in _excluded(camera)]
     plane = _plane(prepared[0], folder) if len(prepared) == 1 else None
-    seen = [_seen(camera) for camera in prepared]
+    covariance, notes = None, [note for camera in prepared for note in excluded(camera)]
+    if plane is None:
+        prepared, covariance, notes = stand_together(folder, prepared, sizes, ties=files.at_rest)
+    seen = [seen_dots(camera) for camera in prepared]
     if folder.targets:
         wanted = np.array([(t.x_mm, t.y_mm, t.z_mm) for t in folder.targets])
         dots = np.column_stack([near_places(camera, wanted) for camera in seen])
@@ -142,7 +147,7 @@ def assemble(
         cameras.append(camera.renamed([int(i) for i in dots[rows, column]], [names[i] for i in rows]))
     method = folder.rig.processing.method
     return SharpSet(
-        files.name, tuple(cameras), tuple(names), places, sure, plane, folder.control, method, tuple(notes)
+        files.name, tuple(cameras), tuple(names), places, sure, plane, covariance, folder.control, method, tuple(notes)
     )
 
 
@@ -168,35 +173,17 @@ def prepare_sharp(folder: Path, sharp: str | None = None, *, like: SharpSet | No
     return assemble(opened, files, [prepare_in_folder(opened, files, camera) for camera in files.frames], like=like)
 
 
-def _view(camera: PreparedCamera) -> View:
-    assert camera.orientation is not None
-    return camera.orientation.view
-
-
-def _seen(camera: PreparedCamera) -> SeenDots:
-    radius = np.array([sought.semi_major_px for sought in camera.sought])
-    return SeenDots(_view(camera), camera.centres_px, radius)
-
-
-def _excluded(camera: PreparedCamera) -> list[str]:
-    if camera.orientation is None:
-        return []
-    return [
-        f"{camera.name}: control target {name} left out, {reason}"
-        for name, reason in camera.orientation.excluded.items()
-    ]
-
-
 def _plane(camera: PreparedCamera, folder: DataFolder) -> Plane:
     """The plane of the control targets, without those that the orientation left out."""
-    assert camera.orientation is not None
+    orientation = camera.orientation
+    assert orientation is not None
     points = {point.name: point for point in folder.control}
-    used = np.flatnonzero(camera.orientation.used)
-    names = [camera.orientation.names[i] for i in used]
+    used = np.flatnonzero(orientation.used)
+    names = [orientation.names[i] for i in used]
     surveyed = [points[name] for name in names]
     try:
         return fit_plane(
-            camera.orientation.view.lens,
+            orientation.view.lens,
             camera.control.centres_px[used],
             np.array([(point.x_mm, point.y_mm, point.z_mm) for point in surveyed]),
             names=names,
@@ -231,7 +218,7 @@ def _places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: P
         rows = np.flatnonzero(dots[:, c] >= 0)
         pixels[c, rows] = camera.centres_px[dots[rows, c]]
     if plane is None:
-        return meet([_view(camera) for camera in prepared], pixels)
+        return meet([camera.view for camera in prepared], pixels)
     places = np.full((len(dots), 3), np.nan)
     rows = np.flatnonzero(dots[:, 0] >= 0)
     places[rows] = plane.to_object(plane.to_plane(pixels[0, rows]))

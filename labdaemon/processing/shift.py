@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur.motion import ExtraBlur, Start, StillMeasurement
-from labdaemon.blur.pixels import FloatArray, Patch
-from labdaemon.blur.still import frame_blur, measure_still
+from labdaemon.blur import ExtraBlur, Patch, Start, StillMeasurement, frame_blur, measure_still
+from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import DataError
-from labdaemon.imaging.codes import find_tags
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.frame import Grey as Picture
-from labdaemon.processing.prepare import ControlTargets
+from labdaemon.processing.control import ControlTargets, read_places
 from labdaemon.processing.thumbnails import find_thumbnail
 
 REACH_PX = 24
@@ -94,7 +92,7 @@ def _starts(frame: RawFrame, grey: Picture, control: ControlTargets) -> list[Flo
     good = [score >= LEAST_SCORE for _, score in found]
     if sum(good) >= max(2, len(found) / 2):
         return [c + shift if ok else None for c, (shift, _), ok in zip(centres, found, good, strict=True)]
-    places = {tag.name: tag.centre_px for tag in find_tags(frame, control.family)}
+    places = read_places(frame, control.family)
     return [
         c + places[name] - tag if name in places else (c + shift if ok else None)
         for name, c, tag, (shift, _), ok in zip(control.names, centres, control.centres_px, found, good, strict=True)

@@ -1,0 +1,220 @@
+"""Control targets in a camera's sharp frames: read, measured, and kept as pictures to be compared with later frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, measure_still, sharp_texture
+from labdaemon.blur.pixels import FloatArray
+from labdaemon.errors import ConfigError, DataError
+from labdaemon.geometry.lens import Lens
+from labdaemon.imaging.codes import Tag, by_name, centre_of, families, find_tags
+from labdaemon.imaging.frame import Grey, RawFrame
+from labdaemon.imaging.rings import BITS, Ring, find_rings
+from labdaemon.processing.thumbnails import Thumbnail
+
+TAG_FAMILY = "apriltag-36h11"
+SD_CENTRE_PX = 0.03
+"""What a control target's centre is good to at best: print, paper that is not flat, lens model."""
+SD_UNFITTED_PX = 0.3
+"""A tag whose sides could not be fitted keeps its corners as first seen."""
+WIDEST_PX = 88
+"""Of a control target no more than this is compared with later frames: enough edges, and quick."""
+RIM_PX = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlTargets:
+    """Control targets as a camera's sharp frame shows them.
+
+    Attributes
+    ----------
+    family
+        Their kind, as `[control] family`.
+    names
+        m names.
+    centres_px
+        (m, 2).
+    sd_px
+        (m,) of each coordinate.
+    side_px
+        (m,) apparent size, to be compared with `[control] size_mm`.
+    outlines
+        Polygon around each, (k, 2) px, in which nothing else is a target.
+    sharp
+        What they look like, to be compared with later frames.
+    own_blur_px2
+        (m,) extra blur that each reads against its own sharp frame: what putting a mosaic's colours together costs. Zero
+        for a perfect picture, and to be subtracted from what it reads against later frames.
+    thumbnails
+        The same as small pictures, to be found again.
+    """
+
+    family: str
+    names: tuple[str, ...] = ()
+    centres_px: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    sd_px: FloatArray = field(default_factory=lambda: np.empty(0))
+    side_px: FloatArray = field(default_factory=lambda: np.empty(0))
+    outlines: tuple[FloatArray, ...] = ()
+    sharp: tuple[SharpTarget, ...] = ()
+    own_blur_px2: FloatArray = field(default_factory=lambda: np.empty(0))
+    thumbnails: tuple[Thumbnail, ...] = ()
+
+
+def check_family(family: str, source: Path) -> None:
+    """Raise `ConfigError` for a kind of control target that nobody can read."""
+    if family not in families() and ring_bits(family) is None:
+        raise ConfigError(
+            f"no control targets are called {family!r}; there are {', '.join([*families(), *_RINGS])}",
+            source=source,
+            key="control.family",
+        )
+
+
+_RINGS = {f"ring-{bits}": bits for bits in BITS}
+
+
+def ring_bits(family: str) -> int | None:
+    """Segments of a ring-coded family, None for other kinds."""
+    return _RINGS.get(family)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A control target of either kind."""
+
+    name: str
+    centre_px: FloatArray
+    sd_px: float
+    side_px: float
+    outline: FloatArray
+    dot: Dot | None = None
+
+
+def find_control(
+    frame: RawFrame,
+    frames: Sequence[RawFrame],
+    grey: Grey,
+    family: str,
+    *,
+    lens: Lens | None = None,
+    known: Sequence[str] | None = None,
+) -> ControlTargets:
+    """Find the control targets of a sharp set.
+
+    Parameters
+    ----------
+    frame, frames, grey
+        The mean of the sharp frames, each of them, and the mean as a grey picture.
+    family
+        Their kind.
+    lens
+        Interior orientation, for the centres of tags that a lens bends.
+    known
+        Names in the survey; others are passed over. None takes all.
+
+    Raises
+    ------
+    DataError
+        One name is in view twice.
+    """
+    seen = _rings(frame, frames, grey, family) if ring_bits(family) else _tags(frame, family, lens)
+    seen = [one for one in seen if known is None or one.name in known]
+    sharp, own, thumbnails, kept = [], [], [], []
+    for one in seen:
+        box = _box(one, frame.size)
+        if box is None:
+            continue
+        cuts = [_rimmed(each, box) for each in frames]
+        target = fit_sharp(one.dot, cuts) if one.dot is not None else sharp_texture(cuts, box, name=one.name)
+        still = measure_still(target, cuts[0])
+        kept.append(one)
+        sharp.append(target)
+        own.append(still.extra_blur_px2 if np.isfinite(still.extra_blur_px2) else 0.0)
+        thumbnails.append(Thumbnail.cut(grey, box))
+    return ControlTargets(
+        family,
+        tuple(one.name for one in kept),
+        np.array([one.centre_px for one in kept]).reshape(-1, 2),
+        np.array([one.sd_px for one in kept]),
+        np.array([one.side_px for one in kept]),
+        tuple(one.outline for one in kept),
+        tuple(sharp),
+        np.array(own),
+        tuple(thumbnails),
+    )
+
+
+def read_places(frame: RawFrame, family: str) -> dict[str, FloatArray]:
+    """Where control targets are in a later frame that shifted far; those seen twice are left out."""
+    bits = ring_bits(family)
+    seen: Sequence[Tag | Ring] = find_tags(frame, family) if bits is None else find_rings(frame, bits=bits)
+    places: dict[str, FloatArray] = {}
+    twice: set[str] = set()
+    for one in seen:
+        twice |= {one.name} & set(places)
+        places[one.name] = one.centre_px if isinstance(one, Tag) else np.array([one.dot.x_px, one.dot.y_px])
+    return {name: place for name, place in places.items() if name not in twice}
+
+
+def _tags(frame: RawFrame, family: str, lens: Lens | None) -> list[_Seen]:
+    seen = []
+    for tag in by_name(find_tags(frame, family), where=str(frame.path)).values():
+        middle = tag.corners_px.mean(axis=0)
+        sides = np.hypot(*(tag.corners_px - np.roll(tag.corners_px, 1, axis=0)).T)
+        seen.append(
+            _Seen(
+                tag.name,
+                tag.centre_px if lens is None else _centre(tag, lens),
+                float(np.hypot(tag.sd_px, SD_CENTRE_PX)) if tag.measured else SD_UNFITTED_PX,
+                float(sides.max()),
+                middle + 1.15 * (tag.corners_px - middle),
+            )
+        )
+    return seen
+
+
+def _rings(frame: RawFrame, frames: Sequence[RawFrame], grey: Grey, family: str) -> list[_Seen]:
+    seen: dict[str, _Seen] = {}
+    for ring in find_rings(grey, bits=ring_bits(family) or BITS[0]):
+        if ring.name in seen:
+            raise DataError(f"ring {ring.name} is in view twice; cover or remove one", file=frame.path)
+        dot = replace(ring.dot, paper_px=1.9 * ring.dot.semi_minor_px, name=ring.name)
+        half = int(np.ceil(1.9 * dot.semi_major_px))
+        x, y = round(dot.x_px), round(dot.y_px)
+        fitted = fit_sharp(dot, [each.patch(x - half, y - half, 2 * half + 1, 2 * half + 1) for each in frames])
+        if not fitted.usable:
+            continue
+        sd = float(np.hypot(np.sqrt(np.trace(fitted.covariance_px2) / 2), SD_CENTRE_PX))
+        seen[ring.name] = _Seen(ring.name, fitted.centre_px, sd, 2 * dot.semi_major_px, ring.outline_px, dot)
+    return list(seen.values())
+
+
+def _centre(tag: Tag, lens: Lens) -> FloatArray:
+    """Centre of a tag on a lens that bends its sides."""
+    centre: FloatArray = lens.distort(centre_of(lens.undistort(tag.corners_px))[None])[0]
+    return centre if np.isfinite(centre).all() else tag.centre_px
+
+
+def _box(one: _Seen, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
+    """(x, y, width, height) of what is compared with later frames: the middle of a large target, all of a small one."""
+    low, high = one.outline.min(axis=0), one.outline.max(axis=0)
+    if one.dot is not None:
+        reach = 1.6 * one.dot.semi_major_px
+        low, high = one.centre_px - reach, one.centre_px + reach
+    half = np.minimum((high - low) / 2, WIDEST_PX / 2)
+    x0, y0 = (int(v) for v in np.maximum(np.floor(one.centre_px - half), 0))
+    x1, y1 = (int(v) for v in np.minimum(np.ceil(one.centre_px + half), np.array(size) - 1))
+    return (x0, y0, x1 - x0 + 1, y1 - y0 + 1) if min(x1 - x0, y1 - y0) >= 12 else None
+
+
+def _rimmed(frame: RawFrame, box: tuple[int, int, int, int]) -> Patch:
+    """The box with a rim: what lies outside is blurred into it."""
+    width, height = frame.size
+    x0, y0 = max(box[0] - RIM_PX, 0), max(box[1] - RIM_PX, 0)
+    x1, y1 = min(box[0] + box[2] + RIM_PX, width), min(box[1] + box[3] + RIM_PX, height)
+    return frame.patch(x0, y0, x1 - x0, y1 - y0)
