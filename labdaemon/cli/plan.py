@@ -15,7 +15,12 @@ from labdaemon.campaign.limits import ShakerLimits, largest_amplitude_mm, peak_a
 from labdaemon.campaign.plan import make_plan
 from labdaemon.campaign.steps import Plan, Step
 from labdaemon.cli.progress import duration
+from labdaemon.cli.remote import ask
+from labdaemon.errors import UsageError
 from labdaemon.service.config import load_rig, plan_rig
+from labdaemon.stream.client import COMMANDS, NoDaemon
+
+SIMULATED_RIG = Path("config/sim.toml")
 
 
 @click.command()
@@ -23,13 +28,16 @@ from labdaemon.service.config import load_rig, plan_rig
 @click.option(
     "--config",
     type=click.Path(dir_okay=False, path_type=Path),
-    required=True,
-    help="The rig file; its cameras' usual exposure steps are assumed where it does not list them.",
+    help=f"The rig file; if not given the running daemon's, or else {SIMULATED_RIG} where that is.",
 )
+@click.option("--address", default=COMMANDS, envvar="LABDAEMON_ADDRESS", metavar="TCP", help="The daemon to ask.")
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON.")
-def plan(campaign: Path, config: Path, as_json: bool) -> None:
-    """Every step of a campaign with its exposures, time and disk, each checked against the rig's limits."""
-    rig = load_rig(config)
+def plan(campaign: Path, config: Path | None, address: str, as_json: bool) -> None:
+    """Every step of a campaign with its exposures, time and disk, each checked against the rig's limits.
+
+    Exposure times are the usual thirds of a stop where the rig file does not list a body's own.
+    """
+    rig = load_rig(config or _known_rig(address))
     room = _free_bytes(rig.data)
     made = make_plan(load_campaign(campaign), plan_rig(rig, free_bytes=room))
     if as_json:
@@ -41,6 +49,18 @@ def plan(campaign: Path, config: Path, as_json: bool) -> None:
         f"{len(made.steps)} steps, {sum(len(step.shots) for step in made.steps)} captures, about "
         f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
     )
+
+
+def _known_rig(address: str) -> Path:
+    """The rig file to plan for when none was named; said, since limits come from it."""
+    try:
+        path = Path(ask(address, "rig")["config"])
+    except NoDaemon:
+        path = SIMULATED_RIG
+        if not path.is_file():
+            raise UsageError("no daemon runs here to ask for its rig; give --config RIG.toml") from None
+    click.echo(f"planned for {path}", err=True)
+    return path
 
 
 def table(made: Plan, limits: ShakerLimits | None) -> list[str]:

@@ -12,9 +12,9 @@ from typing import Any, Self
 import click
 from rich.console import Console
 from rich.live import Live
-from rich.progress_bar import ProgressBar
-from rich.table import Table
 from rich.text import Text
+
+BAR_CELLS = 10
 
 
 def amplitude_mm(target: dict[str, Any]) -> float | None:
@@ -154,24 +154,28 @@ class Progress:
                 click.echo(f"{stamp} {line}")
             else:
                 style = "bold red" if line.startswith("FAULT") else ""
-                self._console.print(Text(f"{stamp} ", style="dim") + Text(line, style=style))
+                self._console.print(Text.assemble((f"{stamp} ", "dim"), (line, style)), soft_wrap=True)
         if self._live is not None:
             self._live.update(self._bar())
 
-    def _bar(self) -> Table:
-        """The live line."""
+    def _bar(self) -> Text:
+        """The live line: state, captures, what is shaking, time left, largest amplitude, faults."""
         status = self._status
         done, total = status.get("captures") or 0, status.get("captures_total") or 0
-        row = Table.grid(padding=(0, 1))
-        cells: list[Any] = [Text(str(status.get("state", "…")), style="bold")]
+        line = Text(no_wrap=True, overflow="ellipsis")
+        line.append(str(status.get("state", "…")), style="bold")
         if total:
-            cells += [ProgressBar(total=total, completed=done, width=24), f"{done}/{total} captures"]
-        cells += [part for part in (excitation(status), status.get("doing")) if part]
-        if status.get("left_s") is not None:
-            cells.append(f"{duration(status['left_s'])} left")
-        if status.get("largest_mm") is not None:
-            cells.append(f"largest {status['largest_mm']:.3f} mm")
+            full = BAR_CELLS * min(done, total) // total
+            line.append(" ").append("━" * full, style="green").append("━" * (BAR_CELLS - full), style="dim")
+            line.append(f" {done}/{total}")
         if status.get("faults"):
-            cells.append(Text(f"{status['faults']} faults", style="bold red"))
-        row.add_row(*cells)
-        return row
+            line.append(" · ", style="dim").append(f"{status['faults']} faults", style="bold red")
+        parts = [excitation(status), status.get("doing")]
+        if status.get("left_s") is not None:
+            parts.append(f"{duration(status['left_s'])} left")
+        if status.get("largest_mm") is not None:
+            parts.append(f"largest {status['largest_mm']:.3f} mm")
+        for part in parts:
+            if part:
+                line.append(" · ", style="dim").append(part)
+        return line

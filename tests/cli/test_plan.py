@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from labdaemon.cli.plan import plan
-from labdaemon.errors import LimitError
+from labdaemon.errors import LimitError, UsageError
 
 CONFIG = Path(__file__).parents[2] / "config"
 ARGS = ["--config", str(CONFIG / "sim.toml")]
@@ -34,3 +34,15 @@ def test_a_step_beyond_the_limits_ends_it(tmp_path: Path) -> None:
     (tmp_path / "far.toml").write_text(THREE_MODES.read_text().replace("0.5]", "20.0]"))
     with pytest.raises(LimitError, match=r"far.toml: phase\[1\].amplitude_mm\[2\]: .* acceleration"):
         CliRunner().invoke(plan, [str(tmp_path / "far.toml"), *ARGS], catch_exceptions=False)
+
+
+def test_without_a_rig_file_the_simulated_one_is_taken_and_said(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(CONFIG.parent)
+    result = CliRunner().invoke(plan, [str(THREE_MODES), "--address", "tcp://127.0.0.1:9"])
+    assert result.stderr == "planned for config/sim.toml\n"
+    assert len(result.stdout.splitlines()) == 6
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="--config"):
+        CliRunner().invoke(plan, [str(THREE_MODES), "--address", "tcp://127.0.0.1:9"], catch_exceptions=False)
