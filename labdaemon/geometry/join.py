@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
+from labdaemon.geometry.continuity import Witness, choose
 from labdaemon.geometry.intersect import Candidate
 from labdaemon.geometry.match import orbit_candidates, phased_candidate, straight_candidates
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
@@ -42,11 +43,14 @@ class Joined:
         The runner-up that could not be excluded; None when the match is settled, or an orbit's two roots merge.
     settled_by
         ``residual`` (two cameras), ``third camera``, ``phase``, ``continuity``; empty where not settled.
+    evidence
+        Logarithm of the odds for the motion against its alternative, from the residuals alone.
     """
 
     motion: ObjectMotion
     alternative: ObjectMotion | None = None
     settled_by: str = ""
+    evidence: float = 0.0
 
 
 def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: FloatArray | None = None) -> Joined:
@@ -104,7 +108,10 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
     if rival is None and not unfixed:
         return Joined(joined, settled_by="residual" if len(views) == 2 else "third camera")
     joined = replace(joined, flags=joined.flags | {Flag.AMBIGUOUS})
-    return Joined(joined, None if rival is None else _object_motion(rival, ratio, phased=False))
+    if rival is None:
+        return Joined(joined)
+    evidence = 0.5 * (rival.square - best.square) / scale
+    return Joined(joined, _object_motion(rival, ratio, phased=False), evidence=evidence)
 
 
 def is_straight(motion: ImageMotion) -> bool:
@@ -186,12 +193,7 @@ def join_targets(
 
 
 def settle_by_continuity(joined: Mapping[str, Joined], members: Mapping[str, str] | None = None) -> dict[str, Joined]:
-    """Choose between a target's two solutions by its settled neighbours along the same member.
-
-    A mode shape is smooth along a member. The vector expected at an unsettled target is the distance-weighted mean of
-    its nearest settled neighbours' (each turned to point the same way); a solution is taken only when it lies close to
-    that and the other one far from it, and the neighbours agree among themselves. Settled targets help to settle the
-    next, nearest first.
+    """Choose between a target's two solutions by its settled neighbours (`labdaemon.geometry.continuity`).
 
     Parameters
     ----------
@@ -206,60 +208,40 @@ def settle_by_continuity(joined: Mapping[str, Joined], members: Mapping[str, str
         The same targets; those settled lose `Flag.AMBIGUOUS` and say so.
     """
     result = dict(joined)
-    open_targets = {name for name, entry in joined.items() if entry.alternative is not None}
-    progress = True
-    while progress and open_targets:
-        progress = False
-        for name in sorted(open_targets, key=lambda n: _nearest(n, result, open_targets, members)):
-            choice = _continue(name, result, open_targets, members)
-            if choice is not None:
-                flags = choice.flags - {Flag.AMBIGUOUS}
-                result[name] = Joined(replace(choice, flags=flags), None, "continuity")
-                open_targets.discard(name)
-                progress = True
-                break
+    unsettled = {name for name, entry in joined.items() if entry.alternative is not None}
+    trusted = {
+        name: Witness(entry.motion.mean_mm, entry.motion.a_mm)
+        for name, entry in joined.items()
+        if name not in unsettled and Flag.AMBIGUOUS not in entry.motion.flags
+    }
+    for name in sorted(unsettled):
+        entry = joined[name]
+        assert entry.alternative is not None
+        kin = [other for other in joined if other != name and _related(name, other, members)]
+        kin.sort(key=lambda other: float(np.linalg.norm(joined[other].motion.mean_mm - entry.motion.mean_mm)))
+        if not _representative([other in trusted for other in kin]):
+            continue
+        witnesses = [trusted[other] for other in kin if other in trusted]
+        options = (entry.motion, entry.alternative)
+        choice = choose(options, entry.evidence, witnesses)
+        if choice is not None:
+            motion = options[choice]
+            result[name] = Joined(replace(motion, flags=motion.flags - {Flag.AMBIGUOUS}), None, "continuity")
     return result
 
 
-def _neighbours(
-    name: str, joined: Mapping[str, Joined], unsettled: set[str], members: Mapping[str, str] | None
-) -> list[tuple[float, FloatArray]]:
-    """Distance and vector of the settled targets of the same member, nearest first."""
-    here = joined[name].motion.mean_mm
-    found = [
-        (float(np.linalg.norm(entry.motion.mean_mm - here)), entry.motion.a_mm)
-        for other, entry in joined.items()
-        if other not in unsettled and (members is None or members.get(other) == members.get(name))
-    ]
-    return sorted(found, key=lambda pair: pair[0])
+def _related(name: str, other: str, members: Mapping[str, str] | None) -> bool:
+    """Tell whether two targets are of the same member; all are where no members are known."""
+    return members is None or members.get(name) == members.get(other)
 
 
-def _nearest(name: str, joined: Mapping[str, Joined], unsettled: set[str], members: Mapping[str, str] | None) -> float:
-    """Distance to the nearest settled neighbour."""
-    near = _neighbours(name, joined, unsettled, members)
-    return near[0][0] if near else float("inf")
+def _representative(settled: Sequence[bool]) -> bool:
+    """Tell whether a target's neighbours, nearest first, may speak for it.
 
-
-def _continue(
-    name: str, joined: Mapping[str, Joined], unsettled: set[str], members: Mapping[str, str] | None
-) -> ObjectMotion | None:
-    """Solution that continues the neighbours' motion, None if they do not tell."""
-    near = _neighbours(name, joined, unsettled, members)[:3]
-    entry = joined[name]
-    if len(near) < 2 or entry.alternative is None:
-        return None
-    reference = near[0][1]
-    vectors = np.stack([vector if vector @ reference >= 0 else -vector for _, vector in near])
-    weights = np.array([1.0 / max(distance, 1e-6) for distance, _ in near])
-    expected = weights @ vectors / weights.sum()
-    spread = float(np.linalg.norm(vectors - expected, axis=1).max())
-
-    def miss(motion: ObjectMotion) -> float:
-        return float(min(np.linalg.norm(motion.a_mm - expected), np.linalg.norm(motion.a_mm + expected)))
-
-    options = sorted([entry.motion, entry.alternative], key=miss)
-    close, far = miss(options[0]), miss(options[1])
-    return options[0] if far > 3.0 * max(close, spread) else None
+    Where most of its nearest are open too (a column moving in the epipolar plane), those that are settled belong to
+    something else and moved otherwise: that is why they are settled.
+    """
+    return sum(settled[:3]) >= 2 and 3 * sum(settled[:6]) >= 2 * len(settled[:6])
 
 
 def _axes(motion: ImageMotion) -> ImageMotion:
