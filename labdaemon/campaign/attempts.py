@@ -106,8 +106,7 @@ class Attempts:
             try:
                 if failures:
                     await reconnect_lost(self._lab)
-                for capture in await recover(self._lab):
-                    await self._measuring.add(capture)
+                await recover(self._lab)
             except StorageFull:
                 await self._reporter.wait_for_room()
             except LabdaemonError as exc:
@@ -134,10 +133,14 @@ class Attempts:
         await write(transitions.start_step, campaign, step.index, {**told, **excitation})
         control = self._control
         walker = Walker(
-            self._lab, campaign, self._measuring.add, control.fired, control.ended, window_s=self._policy.window_s
+            self._lab, campaign, self._measuring.add, control.begun, control.ended, window_s=self._policy.window_s
         )
-        await control.walk(walker.walk(step), guard)
+        await control.walk(self._catch_up_and_walk(walker, step), guard)
         await write(transitions.end_step, campaign, step.index, told)
+
+    async def _catch_up_and_walk(self, walker: Walker, step: Step) -> None:
+        await self._measuring.catch_up(walker.campaign)
+        await walker.walk(step)
 
     async def _retries(self, campaign: str, step: Step, exc: LabdaemonError, failures: int) -> bool:
         """What a fault means for the step; False when it is over for now."""

@@ -11,7 +11,6 @@ from collections.abc import Coroutine
 from typing import Any, Literal
 
 from labdaemon.errors import InterlockError
-from labdaemon.journal.records import CaptureRecord
 
 Wish = Literal["go", "pause", "abort"]
 
@@ -31,18 +30,15 @@ class Control:
         """Reason of the interlock that ended the step; None if none did."""
         self.news = asyncio.Event()
         """Something may be different now: look again."""
-        self._fired: CaptureRecord | None = None
+        self.quiet = asyncio.Event()
+        """Set while no shutters are open and no frames are on their way."""
+        self.quiet.set()
         self._walking: asyncio.Task[None] | None = None
 
     @property
     def is_walking(self) -> bool:
         """Whether a step is under way."""
         return self._walking is not None
-
-    @property
-    def is_exposing(self) -> bool:
-        """Whether shutters have opened and their frames are not stored yet."""
-        return self._fired is not None
 
     def clear(self, wish: Wish = "go") -> None:
         """Begin afresh with this wish."""
@@ -53,7 +49,7 @@ class Control:
         """Have the step left; `at_once` does not wait for open shutters."""
         self.wish, self.reason = wish, reason
         self.news.set()
-        if self._walking is not None and (at_once or self._fired is None):
+        if self._walking is not None and (at_once or self.quiet.is_set()):
             self._walking.cancel()
 
     def trip(self, reason: str) -> None:
@@ -62,13 +58,13 @@ class Control:
         if self._walking is not None:
             self._walking.cancel()
 
-    def fired(self, capture: CaptureRecord) -> None:
-        """Shutters have opened."""
-        self._fired = capture
+    def begun(self) -> None:
+        """Shutters are about to open."""
+        self.quiet.clear()
 
     def ended(self) -> None:
         """The capture is stored, or came to nothing; if somebody waited for that, the step is left now."""
-        self._fired = None
+        self.quiet.set()
         if self.wish != "go" and self._walking is not None:
             self._walking.cancel()
 
@@ -82,7 +78,7 @@ class Control:
         InterlockError
             An interlock tripped.
         """
-        self._fired, self.tripped = None, None
+        self.tripped = None
         task = self._walking = asyncio.create_task(steps)
         try:
             await asyncio.wait({task, guard}, return_when=asyncio.FIRST_COMPLETED)
@@ -92,7 +88,8 @@ class Control:
             if not task.done():
                 task.cancel()
                 await asyncio.wait({task})
-            self._walking = self._fired = None
+            self._walking = None
+            self.quiet.set()
         if self.tripped is not None:
             raise InterlockError(self.tripped)
         if task.cancelled():

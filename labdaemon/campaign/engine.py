@@ -83,7 +83,7 @@ class Engine:
             self.trip,
             free_bytes=free_bytes,
             oldest_s=measuring.oldest_s,
-            busy=lambda: self.control.is_exposing,
+            quiet=self.control.quiet.wait,
         )
         self.manual = Manual(lab, measuring)
         measuring.published = self._on_published
@@ -282,12 +282,7 @@ class Engine:
                 case "pause":
                     await self._pause(record, guard)
                 case "go" if step is None:
-                    self.attempts.doing = "measuring"
-                    await self._rest()
-                    await self.measuring.drain()
-                    self.control.tripped = None  # by a last envelope, when the table rested already
-                    if self.control.wish == "go":
-                        await self._complete(record, plan)
+                    if await self._finish(record, plan):
                         return
                 case "go" if step is not None:
                     self.step = step
@@ -305,9 +300,24 @@ class Engine:
         while self.control.wish == "pause":
             await self.control.wait(guard)
 
-    async def _complete(self, record: CampaignRecord, plan: Plan) -> None:
+    async def _finish(self, record: CampaignRecord, plan: Plan) -> bool:
+        """All steps have ended: wait for the last envelopes; False when somebody wants something else meanwhile."""
+        await self._rest()
+        try:
+            await self.attempts.settle_down(record.id, None)
+        except LabdaemonError as exc:
+            await self._fault(exc, "pause")
+            self.control.want("pause", str(exc))
+            return False
+        self.attempts.doing = "measuring"
+        await self.measuring.catch_up(record.id)
+        await self.measuring.drain()
+        self.control.tripped = None  # by a last envelope, when the table rested already
+        if self.control.wish != "go":
+            return False
         taken = records.count_captures(self.lab.recorder.journal, record.id)
         await self._move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
+        return True
 
     def _has_ended(self, campaign: str, step: Step) -> bool:
         kept = records.step(self.lab.recorder.journal, campaign, step.index)

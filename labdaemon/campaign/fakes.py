@@ -1,19 +1,38 @@
-"""A measurer in memory, for simulated time: reads the frames, so that a missing or foreign one shows."""
+"""Campaigns in memory, for simulated time: a measurer that reads the fake frames, and the whole lab around it."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labdaemon.campaign.measuring import Measured
+from labdaemon.campaign.attempts import Policy
+from labdaemon.campaign.campaign_file import load_campaign
+from labdaemon.campaign.engine import Engine
+from labdaemon.campaign.interlocks import Limits
+from labdaemon.campaign.limits import ShakerLimits
+from labdaemon.campaign.measuring import Measured, Measuring
+from labdaemon.campaign.plan import PlanRig, make_plan
+from labdaemon.campaign.steps import Plan
+from labdaemon.capture.capture import Lab
+from labdaemon.capture.fakes import FakeRig, FakeWorld, fake_rig
+from labdaemon.capture.lines import InlineLine
+from labdaemon.capture.recorder import Recorder
+from labdaemon.capture.table import Table
+from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DataError
+from labdaemon.journal import records
+from labdaemon.journal.journal import Journal
+from labdaemon.journal.records import CampaignRecord, CampaignState
+
+ENDED: tuple[CampaignState, ...] = ("completed", "aborted", "failed", "paused")
 
 
 @dataclass(slots=True)
 class FakeMeasurer:
-    """One target a capture, whose row tells what the fake cameras wrote.
+    """One target a frame, whose row tells what the fake cameras wrote.
 
     Attributes
     ----------
@@ -21,7 +40,7 @@ class FakeMeasurer:
         Time that one measurement takes.
     poisoned
         Names of captures that cannot be measured.
-    flags
+    flags, amplitude_mm
         Given to every row.
     results
         What the result files would hold, by folder.
@@ -52,3 +71,99 @@ class FakeMeasurer:
 
     async def append_results(self, folder: Path, result: Measured) -> None:
         self.results[folder].append(str(result.envelope[0]["capture"]))
+
+
+class FakeLab:
+    """An engine with everything around it in memory but the journal, which is real.
+
+    It can be killed and started again: the world (table, cards) goes on, the engine begins from the journal.
+
+    Parameters
+    ----------
+    data
+        The data folder; in memory (tmpfs) for long runs.
+    """
+
+    def __init__(
+        self,
+        data: Path,
+        clock: SimulatedClock,
+        *,
+        rig: FakeRig | None = None,
+        limits: Limits | None = None,
+        policy: Policy | None = None,
+        has_trigger: bool = True,
+    ) -> None:
+        self.data, self.clock = data, clock
+        self.fake = rig or fake_rig(clock)
+        if not has_trigger:
+            self.fake.rig = replace(self.fake.rig, trigger=None, shaker=None)
+        self.limits, self.policy = limits or Limits(), policy or Policy()
+        self.free_bytes = 10**12
+        self.exposures_s: dict[str, tuple[float, ...]] = dict.fromkeys(self.fake.rig.cameras, (0.5, 1.0, 2.0))
+        self.rig_digest = ""
+        self.measurer = FakeMeasurer()
+        self.journal: Journal
+        self.engine: Engine
+        self._run: asyncio.Task[None] | None = None
+
+    @property
+    def world(self) -> FakeWorld:
+        """The table and the structure."""
+        return self.fake.world
+
+    def start(self) -> None:
+        """Open the journal and let the engine run."""
+        self.journal = Journal(self.data, self.clock, synchronous="OFF")
+        recorder = Recorder(self.journal, InlineLine("journal", lambda: 0.0))
+        table = Table(self.fake.rig, self.clock, self.limits.gauge_disagreement)
+        lab = Lab(self.fake.rig, table, recorder, self.clock, self.data)
+        measuring = Measuring(recorder, self.measurer, self.clock, self.data)
+        self.engine = Engine(
+            lab,
+            measuring,
+            self.plan,
+            self.limits,
+            folder_files={"rig.toml": "", "control.csv": ""},
+            free_bytes=lambda: self.free_bytes,
+            policy=self.policy,
+        )
+        self._run = asyncio.create_task(self.engine.run())
+
+    def plan(self, toml: str) -> Plan:
+        """A campaign's plan for this lab."""
+        table = ShakerLimits(150.0, 1000.0, 20000.0, (0.5, 50.0)) if self.fake.rig.shaker is not None else None
+        return make_plan(load_campaign(toml), PlanRig(table, self.exposures_s, digest=self.rig_digest))
+
+    async def submit(self, toml: str) -> str:
+        """Queue a campaign."""
+        return await self.engine.submit(self.plan(toml))
+
+    async def kill(self) -> None:
+        """What kill -9 does to the engine, as far as one process can do that to itself: nothing is put in order."""
+        if self._run is not None:
+            self._run.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._run
+        await self.engine.measuring.cancel()
+        self.journal.close()
+        self._run = None
+
+    async def until(self, campaign: str, *states: CampaignState, timeout_s: float = 5e4) -> CampaignRecord:
+        """Let time pass until the campaign is in one of these states (by default: has ended, or is paused).
+
+        Raises
+        ------
+        TimeoutError
+            It has not come to that in time.
+        """
+        end_s = self.clock.monotonic() + timeout_s
+        while True:
+            if self._run is not None and self._run.done():
+                self._run.result()
+            record = records.campaign(self.journal, campaign)
+            if record is not None and record.state in (states or ENDED):
+                return record
+            if self.clock.monotonic() > end_s:
+                raise TimeoutError(f"{campaign} is {record.state if record else 'unknown'} after {timeout_s:g} s")
+            await self.clock.sleep(1.0)

@@ -1,13 +1,13 @@
 """Watches the rig while a campaign runs, and trips the interlocks.
 
-Four loops: the heartbeat that holds the amplifier's enable line, the gauges while the table moves, cameras and disk
-every half minute, and the measuring queue. The checks themselves are in `labdaemon.campaign.interlocks`.
+Four loops: the heartbeat that holds the amplifier's enable line, the gauges while the table moves, disk and measuring
+queue, and the cameras every half minute. The checks themselves are in `labdaemon.campaign.interlocks`.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
 from labdaemon.campaign import interlocks
@@ -21,7 +21,8 @@ from labdaemon.errors import DeviceError, DeviceRefused
 HEARTBEAT_S = 0.4
 WATCH_S = 0.25
 WATCH_CYCLES = 2.0
-SLOW_S = 30.0
+ROOM_S = 5.0
+CAMERAS_S = 30.0
 MISSES = 3
 """Readings or answers in a row that may be missing before a device counts as lost."""
 
@@ -38,8 +39,8 @@ class Guard:
         Room on the data disk.
     oldest_s
         How long the oldest capture has waited to be measured.
-    busy
-        Whether a capture is under way, so that cameras must not be asked anything.
+    quiet
+        Waits until no capture is under way: cameras are asked nothing while they expose or deliver.
     beats
         Rounds that all loops have made: what a watchdog looks at.
     """
@@ -49,7 +50,7 @@ class Guard:
     trip: Callable[[str], None]
     free_bytes: Callable[[], int]
     oldest_s: Callable[[], float]
-    busy: Callable[[], bool]
+    quiet: Callable[[], Awaitable[object]]
     beats: int = 0
     _misses: dict[str, int] = field(default_factory=dict)
     _seen: Sighting | None = None
@@ -59,7 +60,8 @@ class Guard:
         async with asyncio.TaskGroup() as loops:
             loops.create_task(self._heartbeat())
             loops.create_task(self._gauges())
-            loops.create_task(self._slow())
+            loops.create_task(self._room_and_workers())
+            loops.create_task(self._cameras())
 
     async def _heartbeat(self) -> None:
         trigger, table = self.lab.rig.trigger, self.lab.table
@@ -111,17 +113,21 @@ class Guard:
         if reason is not None:
             self.trip(reason)
 
-    async def _slow(self) -> None:
+    async def _room_and_workers(self) -> None:
         while True:
             reason = interlocks.disk_reason(self.limits, self.free_bytes()) or interlocks.stall_reason(
                 self.limits, self.oldest_s()
             )
             if reason is not None and self.lab.table.excitation is not None:
                 self.trip(reason)
+            await self.lab.clock.sleep(ROOM_S)
+
+    async def _cameras(self) -> None:
+        while True:
             for name in self.lab.rig.cameras:
-                if not self.busy():
-                    await self._ask_camera(name)
-            await self.lab.clock.sleep(SLOW_S)
+                await self.quiet()
+                await self._ask_camera(name)
+            await self.lab.clock.sleep(CAMERAS_S)
 
     async def _ask_camera(self, name: str) -> None:
         try:

@@ -56,7 +56,7 @@ class Manual:
     async def listen(self, window_s: float) -> None:
         """Keep every capture that an outside system fires, until cancelled."""
         id = await self._lab.recorder.write(transitions.open_manual)
-        walker = Walker(self._lab, id, self._measuring.add, lambda _: None, lambda: None, window_s=window_s)
+        walker = Walker(self._lab, id, self._measuring.add, lambda: None, lambda: None, window_s=window_s)
         async for firing, files in walker.releases(None):
             await walker.keep_outside(self._order("outside", id, False), firing, files)
 
@@ -105,7 +105,7 @@ class Manual:
             Settle(), "skip", 0.0, 0,
         )  # fmt: skip
         flat = sharp_folder(self._lab.data, campaign, None)
-        walker = Walker(self._lab, campaign, self._measuring.add, lambda _: None, lambda: None)
+        walker = Walker(self._lab, campaign, self._measuring.add, lambda: None, lambda: None)
         order = walker.order(step, 0, step.shots[0])
         sharp = name if is_sharp else (sets[-1] if sets else None)
         if not is_sharp and not sets and flat.is_dir():

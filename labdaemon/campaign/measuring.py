@@ -115,7 +115,7 @@ class Measuring:
         task.add_done_callback(lambda _: self._done(key))
 
     async def resume(self, campaign: str, group_sizes: Mapping[str, int]) -> None:
-        """Take a campaign up: write its result files anew from the journal, and measure what is stored.
+        """Take a campaign up: write its result files anew from the journal.
 
         `group_sizes` tells how many captures each group has.
         """
@@ -123,6 +123,9 @@ class Measuring:
         kept = records.results(self._recorder.journal, campaign)
         done = [Measured(result.envelope, result.measurements) for result in kept]
         await self._measurer.write_results(campaign_folder(self._data, campaign), done)
+
+    async def catch_up(self, campaign: str) -> None:
+        """Measure whatever is stored and not in hand: a crash or a wish may have come between."""
         for capture in records.captures(self._recorder.journal, campaign, "stored"):
             await self.add(capture)
 

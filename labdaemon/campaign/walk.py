@@ -33,8 +33,8 @@ class Walker:
     ----------
     measure
         Takes stored captures over; see `labdaemon.capture.capture.take`.
-    fired
-        Called when shutters have opened: from then on a capture is seen to its end.
+    begun
+        Called when shutters are about to open: from then on a capture is seen to its end.
     ended
         Called when a capture is stored, or has failed.
     window_s
@@ -44,7 +44,7 @@ class Walker:
     lab: Lab
     campaign: str
     measure: Callable[[CaptureRecord], Awaitable[None]]
-    fired: Callable[[CaptureRecord], None]
+    begun: Callable[[], None]
     ended: Callable[[], None]
     window_s: float = 5.0
 
@@ -84,7 +84,7 @@ class Walker:
     async def _take(self, step: Step, place: int, shot: Shot, excitation: Excitation | None) -> None:
         order = self.order(step, place, shot)
         try:
-            await take(self.lab, order, excitation, measure=self.measure, phase_rad=shot.phase_rad, fired=self.fired)
+            await take(self.lab, order, excitation, measure=self.measure, phase_rad=shot.phase_rad, begun=self.begun)
         finally:
             self.ended()
 
@@ -108,6 +108,7 @@ class Walker:
     async def keep_outside(self, order: CaptureRecord, firing: Firing | None, files: dict[str, CardFile]) -> None:
         """Store the files of an outside release as a capture."""
         write = self.lab.recorder.write
+        self.begun()
         await write(transitions.intend_capture, order)
         opened_at = firing.opened_at if firing is not None else self.lab.clock.now()
         opening_s = firing.opening_s if firing is not None else {}
@@ -124,9 +125,8 @@ class Walker:
             phase_rad=capture.phase_rad,
             sd_phase_rad=capture.sd_phase_rad,
         )
-        self.fired(capture)
         try:
-            await self.measure(await keep(self.lab, capture, files))
+            await self._stored(await keep(self.lab, capture, files))
         finally:
             self.ended()
 
@@ -159,6 +159,11 @@ class Walker:
         message = f"{file.name} came alone, without the other cameras' frames, and was set aside"
         told = {"device": name, "error": "DeviceError", "message": message, "action": "set aside"}
         await self.lab.recorder.write(transitions.fault, self.campaign, told)
+
+    async def _stored(self, capture: CaptureRecord) -> None:
+        """The capture is safe: the step may be left now, even while the measuring queue is full."""
+        self.ended()
+        await self.measure(capture)
 
     def _missing(self, step: Step) -> list[tuple[int, Shot]]:
         """Shots of the step that no completed capture has."""

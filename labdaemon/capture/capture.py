@@ -79,6 +79,7 @@ async def take(
     measure: Stored,
     phase_rad: float | None = None,
     request_id: str | None = None,
+    begun: Callable[[], None] = lambda: None,
     fired: Fired = lambda capture: None,
 ) -> CaptureRecord:
     """Take one capture.
@@ -98,8 +99,10 @@ async def take(
         Excitation phase at which to open, None for any.
     request_id
         Of the request that asked for it, answered in the journal once fired.
+    begun
+        Called when the shutters are about to be fired: from then on it is worth seeing to its end.
     fired
-        Called once the shutters have opened.
+        Called once the shutters have opened and the journal knows.
 
     Returns
     -------
@@ -116,6 +119,7 @@ async def take(
     await _expose_for(lab, order.exposure_s)
     await set_strays_aside(lab)
 
+    begun()
     await lab.recorder.write(transitions.intend_capture, order)
     capture, opened_s = await _fire(lab, order, phase_rad, request_id)
     fired(capture)

@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal
 
@@ -41,6 +42,9 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
 )
 """Port gone; answer not in its protocol; a plain no; never an answer; one too late; a broken transfer; no file after a
 release; a file of nobody's."""
+
+EPOCH = datetime(2019, 1, 1)
+"""A body's own clock, which nobody has set for years, at monotonic time 0."""
 
 HEARTBEAT_S = 1.5
 """Without one for so long the enable line drops by itself."""
@@ -262,7 +266,7 @@ class FakeCamera:
             f"{self.name} {number} {self.world.frequency_hz} {self.world.amplitude_mm} {self.world.moves()} {opened_s}"
         ).encode()
         self.made.append(hashlib.sha256(content).hexdigest())
-        at = self.world.clock.now().strftime("%Y%m%dT%H%M%S")
+        at = (EPOCH + timedelta(seconds=opened_s)).strftime("%Y%m%dT%H%M%S")
         handle = 0x10000 + number
         file = CardFile(handle, f"DSC_{number:05d}.DNG", len(content), at)
         self.card[handle] = (file, content)

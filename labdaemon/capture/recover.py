@@ -23,8 +23,8 @@ LIST_S = 60.0
 """A card with thousands of foreign pictures takes a while to list."""
 
 
-async def recover(lab: Lab) -> list[CaptureRecord]:
-    """Settle every capture that is neither stored nor given up, and return those that could be completed.
+async def recover(lab: Lab) -> None:
+    """Settle every capture that is neither stored nor given up.
 
     Raises
     ------
@@ -34,15 +34,10 @@ async def recover(lab: Lab) -> list[CaptureRecord]:
     remove_parts(lab.data)
     on_cards = {name: await _list(lab, name) for name in lab.rig.cameras}
     await _clear_stored(lab, on_cards)
-    completed: list[CaptureRecord] = []
     for capture in records.captures(lab.recorder.journal, None, "intended", "fired", "exposed"):
-        done = await _complete(lab, capture, on_cards) if capture.state == "exposed" else None
-        if done is not None:
-            completed.append(done)
-        else:
+        if capture.state != "exposed" or not await _complete(lab, capture, on_cards):
             await _give_up(lab, capture, on_cards)
     await _leave_alone(lab, on_cards)
-    return completed
 
 
 async def _list(lab: Lab, name: str) -> list[CardFile]:
@@ -63,18 +58,18 @@ async def _clear_stored(lab: Lab, on_cards: dict[str, list[CardFile]]) -> None:
                 await clear_card(lab.rig.cameras[name], file)
 
 
-async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> CaptureRecord | None:
-    """Fetch what is missing of an exposed capture; None if a card no longer has it."""
+async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> bool:
+    """Fetch what is missing of an exposed capture; False if a card no longer has it."""
     stored = {frame.camera: frame for frame in records.frames(lab.recorder.journal, capture.campaign, capture.name)}
     for camera in capture.cameras:
         if camera in stored:
             continue
         if camera not in lab.rig.cameras:
-            return None
+            return False
         wanted = capture.files.get(camera)
         file = next((file for file in on_cards[camera] if (file.name, file.captured_at) == wanted), None)
         if file is None:
-            return None
+            return False
         stored[camera] = await store(
             lab.rig.cameras[camera],
             file,
@@ -84,7 +79,8 @@ async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[C
             campaign=capture.campaign,
             capture=capture.name,
         )
-    return await complete(lab, capture, list(stored.values()))
+    await complete(lab, capture, list(stored.values()))
+    return True
 
 
 async def _give_up(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> None:

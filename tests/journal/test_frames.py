@@ -55,16 +55,15 @@ def test_a_small_file_is_replaced_whole(tmp_path: Path):
     assert [file.name for file in path.parent.iterdir()] == ["capture.toml"]
 
 
-def test_a_full_disk_says_so():
-    if not Path("/dev/full").exists():
-        pytest.skip("no /dev/full here")
-    with pytest.raises(StorageFull), open("/dev/full", "wb", buffering=0) as file:
-        from labdaemon.journal.storage import as_data_error
+def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(fd: int) -> None:
+        raise OSError(28, "No space left on device")
 
-        try:
-            file.write(b"x")
-        except OSError as exc:
-            raise as_data_error(exc, Path("/dev/full")) from exc
+    part_of(tmp_path / "left.dng").write_bytes(b"frame")
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(StorageFull, match="disk is full"):
+        seal(tmp_path / "left.dng")
+    assert not (tmp_path / "left.dng").exists()
 
 
 def test_a_moved_frame_is_gone_from_its_old_place(tmp_path: Path):

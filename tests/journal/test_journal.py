@@ -41,9 +41,14 @@ def test_seq_rises_by_one_over_restarts_and_the_uuid_stays(tmp_path: Path):
 
 def test_a_failed_transaction_leaves_no_event_and_no_gap(journal: Journal):
     emit(journal)
-    with pytest.raises(RuntimeError), journal.transaction("test") as write:
-        write.emit("fault", None, {})
-        raise RuntimeError
+
+    def write_half() -> None:
+        with journal.transaction("test") as write:
+            write.emit("fault", None, {"first": "is written"})
+            write.emit("fault", None, {"second": object()})
+
+    with pytest.raises(TypeError):
+        write_half()
     emit(journal)
     assert [event.seq for event in journal.events_after(0, 10)] == [1, 2]
     assert journal.last_seq == 2
@@ -68,8 +73,8 @@ def test_a_commit_is_synced_and_in_wal_mode(journal: Journal):
 
 
 def test_a_second_daemon_is_refused_and_told_who_holds_the_folder(journal: Journal, tmp_path: Path):
-    code = f"from pathlib import Path; from labdaemon.journal.storage import DataLock; DataLock(Path({str(tmp_path)!r}))"
-    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    code = "import sys, pathlib, labdaemon.journal.storage as s; s.DataLock(pathlib.Path(sys.argv[1]))"
+    other = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
     assert other.returncode != 0
     assert "another labdaemon (process" in other.stderr
 
@@ -86,7 +91,7 @@ def test_a_journal_of_a_newer_version_is_refused_and_left_as_it_is(tmp_path: Pat
         connection.execute(f"PRAGMA user_version = {VERSION + 1}")
     connection.close()
     before = path.read_bytes()
-    with pytest.raises(JournalError, match=f"version {VERSION + 1}.*newer"):
+    with pytest.raises(JournalError, match=rf"version {VERSION + 1}.*newer"):
         Journal(tmp_path, SimulatedClock(), replace_damaged=True)
     assert path.read_bytes() == before
 
@@ -110,7 +115,7 @@ def test_a_damaged_journal_is_kept_aside_and_never_overwritten(tmp_path: Path, d
     start = 0 if damage == "header" else 8192
     content[start : start + 4096] = b"\xa5" * 4096
     path.write_bytes(content)
-    with pytest.raises(JournalError, match="damaged.*--new-journal"):
+    with pytest.raises(JournalError, match=r"damaged.*--new-journal"):
         Journal(tmp_path, SimulatedClock())
     assert path.read_bytes() == content
     fresh = Journal(tmp_path, SimulatedClock(), replace_damaged=True)
