@@ -19,6 +19,8 @@ from labdrivers.serial_line import SerialLine
 
 LONGEST_QUEUE = 30
 """Keysight's error queues hold 20; more entries than this are no queue."""
+IDENTITY_TRIES = 4
+
 T = TypeVar("T")
 
 
@@ -51,22 +53,34 @@ class ScpiLink:
             yield
 
     def identify(self) -> str:
-        """Ask who is there, twice over if the first answer was left over from an earlier talk."""
+        """Ask who is there until the same answer came twice running: the first may be left over from an earlier talk.
+
+        Raises
+        ------
+        TransportError
+            Nobody answers.
+        ProtocolError
+            What comes is no identity, or never the same.
+        """
         with self._lock:
             self._line.write(b"\n")  # ends whatever half a command an earlier program left
             self._line.discard()
-            first = self._ask(self._commands.identify)
-            second = self._ask(self._commands.identify)
-            if first != second:
-                self._line.discard()
-                first, second = self._ask(self._commands.identify), self._ask(self._commands.identify)
-            if first != second or not first.isprintable():
-                raise ProtocolError(
-                    f"gives different identities ({first!r}, {second!r}); check baud rate and wiring",
-                    device=self.device,
-                )
-            self._identity, self._dirty = first, False
-            return first
+            before: str | None = None
+            fault: DeviceError | None = None
+            for _ in range(IDENTITY_TRIES):
+                try:
+                    answer = self._ask(self._commands.identify)
+                except (TransportError, ProtocolError) as exc:
+                    fault = exc
+                    self._line.discard()
+                    continue
+                if answer == before and answer.isprintable():
+                    self._identity, self._dirty = answer, False
+                    return answer
+                before = answer
+            raise fault or ProtocolError(
+                f"gives another identity each time ({before!r}); check baud rate and wiring", device=self.device
+            )
 
     def tell(self, command: str) -> None:
         """Send a setting; wait for its acknowledgement if the controller gives one."""
@@ -155,13 +169,23 @@ class ScpiLink:
         self._line.discard()
         self._line.write(self._commands.identify.encode("ascii") + b"\n")
         deadline = time.monotonic() + self._line.settings.timeout_s
-        while True:
-            answer = self._line.read_line(deadline)
+        heard: bytes | None = None
+        while time.monotonic() < deadline:  # a device that babbles must not keep us here
+            try:
+                answer = self._line.read_line(deadline)
+            except TransportError:
+                if heard is None:
+                    raise
+                break
             if answer.decode("ascii", "replace").strip() == self._identity:
                 self._dirty = False
                 return
-            if time.monotonic() > deadline:  # a device that babbles must not keep us here
-                raise TransportError("does not come back into step; power it off and on", device=self.device)
+            heard = answer
+        raise ProtocolError(
+            f"does not come back into step (answers {(heard or b'')[:40]!r}, which is no text of its own); check baud "
+            "rate and wiring, or power it off and on",
+            device=self.device,
+        )
 
     @contextmanager
     def _watched(self) -> Iterator[None]:

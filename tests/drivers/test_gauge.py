@@ -17,9 +17,7 @@ from labdrivers.sine_fit import change_per_cycle, fit_sine
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.floats(0.5, 40.0), st.floats(0.0, 50.0), st.floats(-3.1, 3.1), st.floats(-20, 20), st.integers(60, 400)
-)
+@given(st.floats(0.5, 40.0), st.floats(0.0, 50.0), st.floats(-3.1, 3.1), st.floats(-20, 20), st.integers(60, 400))
 def test_fit_finds_the_sine_at_any_part_of_a_cycle(frequency_hz, amplitude, phase, offset, count):
     t = np.arange(count) / 500.0 * max(1.0, 5.0 / frequency_hz)
     y = amplitude * np.sin(2 * math.pi * frequency_hz * t + phase) + offset
@@ -121,6 +119,12 @@ def streaming():
     device.shut_down()
 
 
+def read_for(seconds, gauge):
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        gauge.read(8.0, duration_s=0.3)
+
+
 FAULTS = {
     "silent": (TransportError, "sends no readings"),
     "stuck": (DeviceRefused, "stuck at"),
@@ -154,9 +158,7 @@ def test_faults_are_named_and_end_with_a_new_connection(streaming, fault):
         assert reading.value == pytest.approx(expected, abs=max(0.01, 5 * reading.sd))
     else:
         with pytest.raises(error, match=words):
-            deadline = time.monotonic() + 4
-            while time.monotonic() < deadline:
-                gauge.read(8.0, duration_s=0.3)
+            read_for(4, gauge)
     assert time.monotonic() - start < 4.5
     device.faults.clear()
     gauge.connect()

@@ -3,12 +3,13 @@ from __future__ import annotations
 import math
 import threading
 import time
+from contextlib import suppress
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from labdaemon.errors import ConfigError, DeviceError, DeviceRefused, LimitError
-from labdrivers.scpi import ScpiShaker
 from labdrivers.sim.scpi_device import ScpiDevice
 from labdrivers.sim.wire import PtyPort, TcpPort, WireDevice
 
@@ -34,7 +35,12 @@ class OwnController(WireDevice):
         *lines, self.rest = (self.rest + data).split(b"\n")
         for line in filter(None, lines):
             word, _, value = line.decode().partition(" ")
-            answers = {"WHO": "SHAKE-O-MAT 7", "F?": f"{self.f} Hz", "D?": f"{self.mm} mm", "RUN?": "YES" * self.on or "NO"}
+            answers = {
+                "WHO": "SHAKE-O-MAT 7",
+                "F?": f"{self.f} Hz",
+                "D?": f"{self.mm} mm",
+                "RUN?": "YES" * self.on or "NO",
+            }
             if word in answers:
                 self.send(answers[word].encode() + b"\r\n")
                 continue
@@ -79,8 +85,8 @@ def test_ramps_and_never_jumps(make_shaker, expose):
     shaker.stop()
     on = [output for output in load.history if output["running"]]
     levels = [output["level_v"] for output in on]
-    assert max(abs(b - a) for a, b in zip(levels, levels[1:], strict=False)) < 0.14  # 0.4 mm a tick at most
-    for before, after in zip(on, on[1:], strict=False):
+    assert max(abs(b - a) for a, b in pairwise(levels)) < 0.14  # 0.4 mm a tick at most
+    for before, after in pairwise(on):
         if abs(after["frequency_hz"] / before["frequency_hz"] - 1) > 0.1:
             assert before["level_v"] == pytest.approx(0.01)  # a large change of frequency happens at rest
     assert {5.0, 12.0, 12.5} <= {output["frequency_hz"] for output in on}
@@ -190,10 +196,8 @@ def test_output_off_is_sent_within_100_ms_whatever_the_driver_waits_for(rig, mak
 
 
 def _swallow(call):
-    try:
+    with suppress(DeviceError):
         call()
-    except DeviceError:
-        pass
 
 
 def test_stop_now_works_right_after_connect(rig, make_shaker):
@@ -273,4 +277,3 @@ def test_calibration_file(tmp_path, rig, make_shaker):
     file.write_text("frequency_hz,mm_per_v\n4,4.0\n9,many\n")
     with pytest.raises(ConfigError, match=r"drive\.csv: line 3"):
         make_shaker(calibration=str(file))
-

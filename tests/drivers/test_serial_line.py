@@ -37,6 +37,13 @@ def until(seconds: float) -> float:
     return time.monotonic() + seconds
 
 
+def talk_for(seconds, line):
+    end = until(seconds)
+    while time.monotonic() < end:
+        line.write(b"anyone?\n")
+        line.read_line(until(0.3))
+
+
 def test_lines_come_back_whole_however_they_are_cut(wire):
     device, _, line = wire
     line.write(b"one\r\ntw")
@@ -78,9 +85,7 @@ def test_a_closed_peer_is_a_transport_error_at_once(wire):
     device.hang_up() if isinstance(port, TcpPort) else port.close()
     start = time.monotonic()
     with pytest.raises(TransportError, match="lost while"):
-        while time.monotonic() < start + 2:
-            line.write(b"anyone?\n")
-            line.read_line(until(0.3))
+        talk_for(2, line)
     assert time.monotonic() - start < 1.5
     line.close()
     with pytest.raises(TransportError, match="not connected"):

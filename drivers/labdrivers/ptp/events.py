@@ -15,7 +15,7 @@ from labdrivers.ptp.container import BadContainer, read_header, unpack_parameter
 from labdrivers.ptp.transport import UsbPipe
 
 NEWS = frozenset({EventCode.OBJECT_ADDED, EventCode.NIKON_ADDED_IN_SDRAM, EventCode.STORE_FULL})
-LISTEN_S = 0.25
+LISTEN_S = 0.1
 
 
 class EventListener:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterator
 
 from labdaemon.capture.devices import CardFile
 from labdaemon.errors import DeviceRefused
@@ -39,6 +40,7 @@ class FileWatch:
         self._session, self._events = session, events
         self._files: dict[int, CardFile | None] = {}
         self._candidates: deque[int] = deque()
+        self._forget_events()  # told before; the list says what is there now
         present = self.files()
         self.known = {(file.name, file.captured_at) for file in present} if known is None else known
         self._fresh = deque(file for file in present if (file.name, file.captured_at) not in self.known)
@@ -68,7 +70,9 @@ class FileWatch:
             left = deadline - time.monotonic()
             if left <= 0:
                 return None
-            self._take(self._events.next(min(left, POLL_S)))
+            heard = self._events.next(min(left, POLL_S))
+            if heard is not None:
+                self._take(heard)
             if self._events.fault is not None:
                 raise self._events.fault
 
@@ -95,18 +99,26 @@ class FileWatch:
         return self._files[handle]
 
     def _ask_events(self) -> None:
-        while (event := self._events.next(0.0)) is not None:
+        for event in self._told():
             self._take(event)
+
+    def _forget_events(self) -> None:
+        for _ in self._told():
+            pass
+
+    def _told(self) -> Iterator[tuple[int, int]]:
+        """Everything that either way of telling holds now."""
+        while (event := self._events.next(0.0)) is not None:
+            yield event
         if self._session.supports(Op.NIKON_GET_EVENT):
             for _ in range(MOST_POLLS):
                 told = parse_nikon_events(self._session.call(Op.NIKON_GET_EVENT).data)
                 if not told:
                     break
-                for event in told:
-                    self._take(event)
+                yield from told
 
-    def _take(self, event: tuple[int, int] | None) -> None:
-        if event is None or event[0] not in NEWS:
+    def _take(self, event: tuple[int, int]) -> None:
+        if event[0] not in NEWS:
             return
         if event[0] == EventCode.STORE_FULL:
             raise DeviceRefused("card full: empty it or change it", device=self._session.device)

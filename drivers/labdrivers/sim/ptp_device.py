@@ -259,7 +259,7 @@ class PtpBody:
             return Response.NOT_SUPPORTED, (), None
         if len(parameters) < 3:
             return Response.BAD_PARAMETER, (), None
-        size = parameters[2] // 2 if self.faults.strike("short_partial") else parameters[2]
+        size = max(1, parameters[2] // 2) if self.faults.strike("short_partial") else parameters[2]
         block = self.card.read(item, parameters[1], size)
         return Response.OK, (len(block),), block
 

@@ -30,6 +30,7 @@ class WireDevice:
         self._send: Send | None = None
         self._hang_up: HangUp | None = None
         self._wire_lock = threading.Lock()
+        self._held: bytearray | None = None
 
     def attach(self, send: Send, hang_up: HangUp) -> None:
         """A host opened the port: `send` carries bytes to it, `hang_up` cuts the connection."""
@@ -58,18 +59,31 @@ class WireDevice:
         raise NotImplementedError
 
     def send(self, data: bytes) -> None:
-        """Bytes to the host, lost when there is none."""
+        """Bytes to the host, lost when there is none; after those that are late, never before."""
         with self._wire_lock:
+            if self._held is not None:
+                self._held += data
+                return
             send = self._send
         if send is not None:
             with suppress(OSError):
                 send(data)
 
     def send_later(self, delay_s: float, data: bytes) -> None:
-        """The same after a while."""
-        timer = threading.Timer(delay_s, self.send, (data,))
+        """The same after a while; what is sent meanwhile waits behind it, as a device answers in order."""
+        with self._wire_lock:
+            if self._held is not None:
+                self._held += data
+                return
+            self._held = bytearray(data)
+        timer = threading.Timer(delay_s, self._send_held)
         timer.daemon = True
         timer.start()
+
+    def _send_held(self) -> None:
+        with self._wire_lock:
+            held, self._held = bytes(self._held or b""), None
+        self.send(held)
 
     def hang_up(self) -> None:
         """Cut the connection, as a pulled plug does."""
