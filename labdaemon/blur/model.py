@@ -96,7 +96,7 @@ def _prepare_texture(sharp: SharpTarget, form: Texture, patch: Patch, expected_p
     cut = patch.crop(left, top, width, height)
     if cut.shape[0] < 0.5 * height or cut.shape[1] < 0.5 * width or np.count_nonzero(cut.valid) < 0.3 * width * height:
         return None
-    planes = split(cut)
+    planes = split(masked(cut, ~np.isin(cut.channel, form.channel)))
     grid = make_grid((form.dark.shape[1] + 4, form.dark.shape[2] + 4))
     spectra, by_shape = form.spectra(grid, planes.channel)
     return Setting(planes, grid, spectra, by_shape, np.asarray(expected_px, dtype=np.float64), None)

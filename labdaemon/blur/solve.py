@@ -56,6 +56,8 @@ class Solution:
         (n, h, w) inverse variances in use, 0 where masked.
     prior_part
         (k, k) what the prior's own uncertainty contributes to the covariance.
+    light_part
+        (n, 4, k) how each lattice's light follows the parameters (its negative, that is).
     gain
         (k, n, h, w) change of the parameters by a change of each pixel, DN⁻¹; carries any other error through.
     """
@@ -70,6 +72,7 @@ class Solution:
     converged: bool
     weight: FloatArray
     prior_part: FloatArray
+    light_part: FloatArray
     gain: FloatArray
 
     @property
@@ -94,7 +97,7 @@ def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatAr
     design = np.stack((np.ones_like(dark), u, v, -dark), axis=1).reshape(n, 4, -1)
     w = weight.reshape(n, -1)
     normal = (design * w[:, None]) @ design.transpose(0, 2, 1)
-    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    normal += _ridge(normal, 1e-9)
     right = (design * w[:, None]) @ planes.values.reshape(n, -1, 1)
     solution: FloatArray = np.linalg.solve(normal, right)[..., 0].astype(np.float64)
     solution[:, 3] /= np.where(np.abs(solution[:, 0]) > 1e-12, solution[:, 0], 1.0)
@@ -106,6 +109,13 @@ def light_level(planes: Planes, light: FloatArray) -> FloatArray:
     u, v = light_coordinates(planes)
     level: FloatArray = light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v
     return level
+
+
+def _ridge(normal: FloatArray, part: float) -> FloatArray:
+    """A little on the diagonals, so that a lattice without a valid pixel does no harm."""
+    trace = np.trace(normal, axis1=1, axis2=2)
+    result: FloatArray = np.where(trace > 0, part * trace, 1.0)[:, None, None] * np.eye(normal.shape[-1])
+    return result
 
 
 def render_light(planes: Planes, light: FloatArray, dark: FloatArray) -> FloatArray:
@@ -180,7 +190,7 @@ def solve(
         normal = weighted @ flat.transpose(0, 2, 1)
         gradient = (weighted @ residual.reshape(n, -1, 1))[..., 0]
         ll = normal[:, k:, k:]
-        ll = ll + np.eye(4) * (1e-12 * np.trace(ll, axis1=1, axis2=2)[:, None, None] + 1e-300)
+        ll = ll + _ridge(ll, 1e-12)
         inner = np.linalg.solve(ll, np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
         reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ inner[:, :, :k]).sum(axis=0) + prior.precision
         right = (gradient[:, :k] - (normal[:, :k, k:] @ inner[:, :, k:])[..., 0]).sum(axis=0)
@@ -218,6 +228,9 @@ def solve(
     through_light = np.einsum("nka,nap->nkp", inner[:, :, :k].transpose(0, 2, 1), weighted[:, k:])
     gain = np.einsum("kj,njp->knp", covariance, weighted[:, :k] - through_light).reshape(k, *y.shape)
     normalised = residual * np.sqrt(weight)
-    dof = int(np.count_nonzero(weight)) - k - 4 * n
+    dof = int(np.count_nonzero(weight)) - k - 4 * int(np.count_nonzero(weight.any(axis=(1, 2))))
     prior_part = covariance @ prior.precision @ covariance
-    return Solution(p, covariance, light, normalised, signal, cost, dof, converged, weight, prior_part, gain)
+    light_part: FloatArray = inner[:, :, :k].astype(np.float64)
+    return Solution(
+        p, covariance, light, normalised, signal, cost, dof, converged, weight, prior_part, light_part, gain
+    )

@@ -10,6 +10,7 @@ from labdaemon.blur.motion import ExtraBlur, Start, StillMeasurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import solve
+from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 
@@ -75,6 +76,7 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
         if best.chi2 < 1.5:
             break
     assert best is not None
+    best = without_template_noise(sharp, setting, best, None)
     covariance = honest_covariance(sharp, best, setting.planes)[:3, :3]
     covariance[:2, :2] += sharp.covariance_px2
     flags = {Flag.POOR_FIT} if best.chi2 > 2.0 and sharp.noise_known else set()

@@ -32,23 +32,27 @@ class Texture:
         (2,) x and y of the box's centre in `dark`.
     box_size_px
         (width, height) of the part to be measured, about that centre.
-    variance
-        Noise variance of `dark`.
+    frames
+        Number of sharp frames in the mean.
     """
 
     channel: NDArray[np.int64]
     dark: FloatArray
     centre_in_dark_px: FloatArray
     box_size_px: tuple[int, int]
-    variance: float
+    frames: int
 
     def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
-        """Discrete transform of the samples, and derivatives by a small linear distortion about the box's centre."""
+        """Discrete transform of the samples (the first one's for channels not in use).
+
+        The derivatives are by a small linear distortion about the box's centre.
+        """
         order = {int(number): row for row, number in enumerate(self.channel)}
-        try:
-            rows = [order[int(number)] for number in channel]
-        except KeyError as missing:
-            raise UsageError(f"colour channel {missing} is not in the sharp frame; use frames of one camera") from None
+        if not any(int(number) in order for number in channel):
+            raise UsageError(
+                "the sharp and the blurred frame have no colour channel in common; use frames of one camera"
+            )
+        rows = [order.get(int(number), 0) for number in channel]
         x, y = self.centre_in_dark_px
         phase = np.exp(2j * np.pi * (grid.fx * x + grid.fy * y))
         _, height, width = self.dark.shape
@@ -128,50 +132,70 @@ def sharp_texture(
             flags.add(Flag.SATURATED)
     in_dark = np.array([left + (box[2] - 1) / 2, top + (box[3] - 1) / 2])
     centre = in_dark + np.asarray(patch.origin_px)
-    form = Texture(channels, dark, in_dark, (box[2], box[3]), variance)
+    form = Texture(channels, dark, in_dark, (box[2], box[3]), count if known else 1)
     return SharpTarget(
         name, centre, np.zeros((2, 2)), form, {int(c): 1.0 for c in channels}, single, known, flags=frozenset(flags)
     )
 
 
 def _full_resolution(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, float]:
-    """Each channel's darkness at every pixel, and the mean brightness range that it is scaled by.
+    """The channels in use, each one's darkness at every pixel, and the brightness range that it is scaled by.
 
-    The channels are matched by straight lines to one picture at full resolution; what each then differs from it by (its
-    own lens blur) is smooth enough to be spread from its own pixels to all.
+    On a Bayer sensor the two greens are used: they see through the same colour and so the same lens blur, and together
+    they sample finely enough to be interpolated.
     """
     good = patch.valid & np.isfinite(patch.values)
-    fallback = float(np.median(patch.values[good])) if good.any() else 0.0
-    values = np.where(good, patch.values, np.nan)
-    channels = np.unique(patch.channel).astype(np.int64)
+    channels = _greens(patch, good)
+    use = np.isin(patch.channel, channels)
     scaled = np.zeros(patch.shape)
     spreads = []
     for c in channels:
         here = patch.channel == c
-        sample = values[here & good]
+        sample = patch.values[here & good]
         low, high = np.percentile(sample, (1, 99)) if sample.size else (0.0, 1.0)
         spreads.append(max(float(high - low), 0.0))
-        scaled[here] = ((high - np.where(good, patch.values, fallback)) / max(high - low, 1e-9))[here]
-    scaled = _fill(scaled, good)
-    dark = np.repeat(scaled[None], len(channels), axis=0)
-    if len(channels) > 1:
-        for _ in range(3):
-            smooth = ndimage.convolve(scaled, np.outer([1, 2, 1], [1, 2, 1]) / 16.0, mode="nearest")
-            for c in channels:
-                here = (patch.channel == c) & good
-                slope, offset = np.polyfit(scaled[here], smooth[here], 1)
-                every = patch.channel == c
-                scaled[every] = slope * scaled[every] + offset
-        smooth = ndimage.convolve(scaled, np.outer([1, 2, 1], [1, 2, 1]) / 16.0, mode="nearest")
-        detail = scaled - smooth
-        shared = ndimage.gaussian_filter(detail, 1.2, mode="nearest")
-        for row, c in enumerate(channels):
-            here = patch.channel == c
-            seen = (here & good).astype(np.float64)
-            weight = ndimage.gaussian_filter(seen, 1.2, mode="nearest")
-            own = ndimage.gaussian_filter(seen * detail, 1.2, mode="nearest") / np.maximum(weight, 1e-6)
-            dark[row] = np.where(here, scaled, scaled + own - shared)
-    return channels, dark, float(np.mean(spreads)) if spreads else 0.0
+        scaled[here] = ((high - np.where(good, patch.values, high)) / max(high - low, 1e-9))[here]
+    if len(channels) == 1:
+        return channels, _fill(scaled, good)[None], spreads[0]
+    neighbours = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4.0
+    for _ in range(3):  # the greens may differ a little in gain and offset
+        around = ndimage.convolve(np.where(use, scaled, 0.0), neighbours, mode="nearest")
+        mean = ndimage.convolve(np.where(use, scaled, around), np.outer([1, 2, 1], [1, 2, 1]) / 16.0, mode="nearest")
+        for c in channels:
+            here = (patch.channel == c) & good
+            if np.ptp(scaled[here]) > 0:
+                slope, offset = np.polyfit(scaled[here], mean[here], 1)
+                scaled[patch.channel == c] = slope * scaled[patch.channel == c] + offset
+    return channels, np.repeat(_interpolate(scaled, use & good)[None], len(channels), axis=0), float(np.mean(spreads))
+
+
+def _greens(patch: Patch, good: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The two channels of a mosaic's diagonal that respond most alike; all there are where it is no mosaic."""
+    channels = np.unique(patch.channel).astype(np.int64)
+    if len(channels) < 4 or min(patch.shape) < 4:
+        return channels
+    best, best_ratio = channels[:2], np.inf
+    for first, second in (((0, 0), (1, 1)), ((0, 1), (1, 0))):
+        pair = [int(patch.channel[at]) for at in (first, second)]
+        levels = [float(np.median(patch.values[(patch.channel == c) & good])) for c in pair]
+        ratio = abs(float(np.log(max(levels[0], 1e-9) / max(levels[1], 1e-9))))
+        if ratio < best_ratio:
+            best, best_ratio = np.array(pair, dtype=np.int64), ratio
+    return best
+
+
+def _interpolate(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """Fill a chessboard's gaps with the smoothest picture that its spatial frequencies allow (Papoulis–Gerchberg)."""
+    pad = 8
+    wide, mask = np.pad(values, pad, mode="reflect"), np.pad(known, pad, mode="reflect")
+    weight = ndimage.gaussian_filter(mask.astype(np.float64), 0.8)
+    picture = np.where(mask, wide, ndimage.gaussian_filter(np.where(mask, wide, 0.0), 0.8) / np.maximum(weight, 1e-9))
+    fy, fx = np.abs(np.fft.fftfreq(wide.shape[0]))[:, None], np.abs(np.fft.rfftfreq(wide.shape[1]))[None, :]
+    band = fy + fx < 0.5
+    for _ in range(25):
+        smooth = fft.irfft2(fft.rfft2(picture) * band, s=wide.shape)
+        picture = np.where(mask, wide, smooth)
+    return picture[pad:-pad, pad:-pad]
 
 
 def _fill(values: FloatArray, good: NDArray[np.bool_]) -> FloatArray:

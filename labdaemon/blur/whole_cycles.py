@@ -13,6 +13,7 @@ from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
 from labdaemon.blur.solve import Solution, solve
 from labdaemon.blur.starts import starts_of
+from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 
@@ -104,14 +105,14 @@ def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: li
         # The prior must be weighed against the noise as it is found.
         weights = pixel_weights(sharp, setting.planes, noise_scale(sharp, best))
         best = solve(setting.planes, weights, model, best.p, prior, bound=bound, light=best.light)
-    return best
+    return without_template_noise(sharp, setting, best, shapes.orbit)
 
 
 def _fit_straight(
     sharp: SharpTarget, setting: Setting, blur: ExtraBlur, free: Solution, a: FloatArray, scale: float
 ) -> Solution:
     k = len(setting.by_shape)
-    return solve(
+    best = solve(
         setting.planes,
         pixel_weights(sharp, setting.planes, scale),
         blurred_model(setting, shapes.straight),
@@ -119,6 +120,7 @@ def _fit_straight(
         nuisance_prior(sharp, blur, 2),
         light=free.light,
     )
+    return without_template_noise(sharp, setting, best, shapes.straight)
 
 
 def _pick(k: int) -> list[int]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.imaging.ellipse import Ellipse, fit, from_moments
+from labdaemon.blur.ellipse import Ellipse, fit, from_moments
 
 ellipses = st.builds(
     Ellipse,
