@@ -21,6 +21,9 @@ Plane = Callable[[FloatArray], FloatArray]
 SHAPE_STEP_PX = 0.04
 """A shape is drawn anew when its outline has changed by this much on the way (depth, perspective, distortion)."""
 
+PAPER_STEP_PX = 0.3
+"""The same for the label's paper, whose edges nobody measures."""
+
 MAX_SHAPES = 32
 
 STEP_PX = 0.05
@@ -133,47 +136,79 @@ def grain_at(scene: Scene, card: int, extent_mm: tuple[float, float], u: FloatAr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Smear:
-    """A card's spectra in its window: the light it sends, and the time it hid what is behind."""
+class Layer:
+    """Part of a card in a window of its own.
+
+    Attributes
+    ----------
+    window
+        Where.
+    spectra
+        Of its fine images: for paper the light it sends and the time it hid what is behind; for ink the light it takes.
+    """
 
     window: Window
-    light: NDArray[np.complex64]
-    cover: NDArray[np.complex64]
+    spectra: tuple[NDArray[np.complex64], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smear:
+    """A card with what is printed on it, added up over the exposure.
+
+    The paper is drawn less finely than the ink: only the ink's edges are measured.
+    """
+
+    paper: Layer
+    ink: Layer
 
 
 def smear_target(scene: Scene, index: int, view: View, path: Path, fine: int) -> Smear | None:
     """A dot with its label, added up over the exposure; None if it stays outside the frame."""
     target = scene.targets[index]
+    image = view.project(np.asarray(target.centre_mm) + path.displacement_mm)
+    half = (0.5 * target.paper_mm[0], 0.5 * target.paper_mm[1])
+    radius = 0.5 * target.diameter_mm
+    paper_window = _window(view, target.points, half, path, image, max(fine // 2, 1))
+    ink_window = _window(view, target.points, (radius, radius), path, image, fine)
+    if not paper_window.meets(view.camera.image_size):
+        return None
+    if scene.still_paper:
+        still = Path(path.times_s[:1], np.zeros((1, 3)))
+        paper = _accumulate(draw_paper, scene, index, view, still, paper_window, PAPER_STEP_PX)
+    else:
+        paper = _accumulate(draw_paper, scene, index, view, path, paper_window, PAPER_STEP_PX)
+    return Smear(paper, _accumulate(draw_ink, scene, index, view, path, ink_window, SHAPE_STEP_PX))
+
+
+def _window(view: View, plane: Plane, half_mm: tuple[float, float], path: Path, image: FloatArray, fine: int) -> Window:
+    """A window that a rectangle of the card never leaves."""
+    corners = plane(np.array([(sx * half_mm[0], sy * half_mm[1]) for sx in (-1, 1) for sy in (-1, 1)]))
+    turning = np.unique(np.concatenate([image.argmin(axis=0), image.argmax(axis=0), [0]]))
+    outline = np.concatenate([view.project(corners + d) for d in path.displacement_mm[turning]])
+    return Window.around(outline.min(axis=0) - 1.0, outline.max(axis=0) + 1.0, fine)
+
+
+Draw = Callable[[Scene, int, View, FloatArray, Window], tuple[FloatImage, ...]]
+
+
+def _accumulate(draw: Draw, scene: Scene, index: int, view: View, path: Path, window: Window, step_px: float) -> Layer:
+    """Draw a shape once for every group of moments in which it looks the same, and spread it over their dwell times."""
+    target = scene.targets[index]
     centre = np.asarray(target.centre_mm)
     image = view.project(centre + path.displacement_mm)
-    half = (0.5 * target.paper_mm[0], 0.5 * target.paper_mm[1])
-    corners = target.points(np.array([(sx * half[0], sy * half[1]) for sx in (-1, 1) for sy in (-1, 1)]))
-    extremes = path.displacement_mm[np.unique(np.concatenate([image.argmin(axis=0), image.argmax(axis=0), [0]]))]
-    outline = np.concatenate([view.project(corners + d) for d in extremes])
-    window = Window.around(outline.min(axis=0) - 1.0, outline.max(axis=0) + 1.0, fine)
-    if not window.meets(view.camera.image_size):
-        return None
-    light = np.zeros((window.height * fine, window.width * fine // 2 + 1), np.complex64)
-    cover = np.zeros_like(light)
-    if scene.still_paper:
-        paper, white, _ = draw_target(scene, index, view, np.zeros(3), window, half)
-        light, cover = transform(white), transform(paper)
-    for members in shape_groups(target, view, path):
+    total: list[NDArray[np.complex64]] = []
+    for members in shape_groups(target, view, path, step_px):
         displacement = path.displacement_mm[members].mean(axis=0)
         place = view.project((centre + displacement)[None, :])[0]
-        paper, white, missing = draw_target(scene, index, view, displacement, window, half)
         weight = np.full(members.size, 1.0 / path.times_s.size)
         dwell = transform(dwell_map(image[members] - place, weight, window))
-        if scene.still_paper:
-            light -= transform(missing) * dwell
-        else:
-            light += transform(white - missing) * dwell
-            cover += transform(paper) * dwell
-    return Smear(window, light, cover)
+        spectra = [transform(part) * dwell for part in draw(scene, index, view, displacement, window)]
+        total = [one + other for one, other in zip(total, spectra, strict=True)] if total else spectra
+    return Layer(window, tuple(total))
 
 
-def shape_groups(target: Target, view: View, path: Path) -> list[NDArray[np.intp]]:
-    """Moments sorted into groups in which the dot's outline looks the same to within `SHAPE_STEP_PX`."""
+def shape_groups(target: Target, view: View, path: Path, step_px: float) -> list[NDArray[np.intp]]:
+    """Moments sorted into groups in which the dot's outline looks the same to within `step_px`."""
     radius = 0.5 * target.diameter_mm
     rim = target.points(radius * np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]))
     every = max(1, path.times_s.size // 400)
@@ -183,37 +218,62 @@ def shape_groups(target: Target, view: View, path: Path) -> list[NDArray[np.intp
     deviation = outline - outline.mean(axis=0)
     # the outline changes linearly with displacement over so short a way
     away = sample - sample.mean(axis=0)
-    if np.abs(deviation).max() < 0.5 * SHAPE_STEP_PX:
+    if np.abs(deviation).max() < 0.5 * step_px:
         return [np.arange(path.times_s.size)]
     slope = np.linalg.lstsq(away, deviation)[0]
     direction = np.linalg.svd(slope, full_matrices=False)
     score = (path.displacement_mm - sample.mean(axis=0)) @ direction[0][:, 0] * direction[1][0]
-    count = int(np.clip(np.ceil(np.ptp(score) / SHAPE_STEP_PX), 1, MAX_SHAPES))
+    count = int(np.clip(np.ceil(np.ptp(score) / step_px), 1, MAX_SHAPES))
     edges = np.linspace(score.min(), score.max(), count + 1)[1:-1]
     group = np.searchsorted(edges, score)
     return [members for k in range(count) if (members := np.flatnonzero(group == k)).size]
 
 
-def draw_target(
-    scene: Scene, index: int, view: View, displacement_mm: FloatArray, window: Window, half_mm: tuple[float, float]
-) -> tuple[FloatImage, FloatImage, FloatImage]:
-    """Fine images of a displaced label: its coverage, the light it would send without ink, and what the ink takes."""
+def draw_paper(
+    scene: Scene, index: int, view: View, displacement_mm: FloatArray, window: Window
+) -> tuple[FloatImage, FloatImage]:
+    """Fine images of a displaced label without its ink: the light it sends, and its coverage."""
     target = scene.targets[index]
+    half = (0.5 * target.paper_mm[0], 0.5 * target.paper_mm[1])
+    part, u, v = _card(view, target.points, half, displacement_mm, window)
+    cell_u, cell_v = _cell(u, v)
+    cover = coverage(np.abs(u) - half[0], cell_u) * coverage(np.abs(v) - half[1], cell_v)
+    white = cover * scene.paper * (1.0 + grain_at(scene, index, target.paper_mm, u, v))
+    return _placed(white, part, window), _placed(cover, part, window)
+
+
+def draw_ink(scene: Scene, index: int, view: View, displacement_mm: FloatArray, window: Window) -> tuple[FloatImage]:
+    """Fine image of the light that a displaced dot takes away from its label."""
+    target = scene.targets[index]
+    half = (0.5 * target.paper_mm[0], 0.5 * target.paper_mm[1])
+    radius = 0.5 * target.diameter_mm
+    part, u, v = _card(view, target.points, (radius, radius), displacement_mm, window)
+    taken = disc_coverage(u, v, radius) * (scene.paper - scene.ink)
+    taken *= (np.abs(u) < half[0]) & (np.abs(v) < half[1])
+    taken *= 1.0 + grain_at(scene, index, target.paper_mm, u, v)
+    return (_placed(taken, part, window),)
+
+
+Part = tuple[slice, slice]
+
+
+def _card(
+    view: View, plane: Plane, half_mm: tuple[float, float], displacement_mm: FloatArray, window: Window
+) -> tuple[Part, FloatArray, FloatArray]:
+    """The rows and columns of a window that a rectangle of a card falls on, and the card's coordinates there."""
     x, y = window.centres()
     corners = np.array([(sx * half_mm[0], sy * half_mm[1]) for sx in (-1, 1) for sy in (-1, 1)])
-    box = view.project(target.points(corners) + displacement_mm)
+    box = view.project(plane(corners) + displacement_mm)
     columns = slice(*np.searchsorted(x, (box[:, 0].min() - 1.0, box[:, 0].max() + 1.0)))
     rows = slice(*np.searchsorted(y, (box[:, 1].min() - 1.0, box[:, 1].max() + 1.0)))
-    u, v = plane_coordinates(view, target.points, half_mm, displacement_mm, x[columns], y[rows])
-    cell_u, cell_v = _cell(u, v)
-    cover = coverage(np.abs(u) - half_mm[0], cell_u) * coverage(np.abs(v) - half_mm[1], cell_v)
-    ink = disc_coverage(u, v, 0.5 * target.diameter_mm)
-    grain = 1.0 + grain_at(scene, index, target.paper_mm, u, v)
-    paper, white, missing = (np.zeros((y.size, x.size), np.float32) for _ in range(3))
-    paper[rows, columns] = cover
-    white[rows, columns] = cover * scene.paper * grain
-    missing[rows, columns] = cover * (scene.paper - scene.ink) * ink * grain
-    return paper, white, missing
+    u, v = plane_coordinates(view, plane, half_mm, displacement_mm, x[columns], y[rows])
+    return (rows, columns), u, v
+
+
+def _placed(image: FloatArray, part: Part, window: Window) -> FloatImage:
+    whole = np.zeros((window.height * window.fine, window.width * window.fine), np.float32)
+    whole[part] = image
+    return whole
 
 
 def disc_coverage(u: FloatArray, v: FloatArray, radius_mm: float) -> FloatArray:
@@ -258,29 +318,35 @@ def smear_tag(scene: Scene, index: int, view: View, fine: int) -> Smear | None:
     """A control target, which does not move; None if it lies outside the frame."""
     tag: Tag = scene.tags[index]
     half = 0.5 * tag.card_mm
-    corners = tag.points(np.array([(sx * half, sy * half) for sx in (-1, 1) for sy in (-1, 1)]))
-    box = view.project(corners)
-    window = Window.around(box.min(axis=0) - 1.0, box.max(axis=0) + 1.0, fine)
-    if not window.meets(view.camera.image_size):
+    still = Path(np.zeros(1), np.zeros((1, 3)))
+    image = view.project(np.asarray(tag.centre_mm)[None, :])
+    paper_window = _window(view, tag.points, (half, half), still, image, max(fine // 2, 1))
+    if not paper_window.meets(view.camera.image_size):
         return None
-    x, y = window.centres()
-    columns = slice(*np.searchsorted(x, (box[:, 0].min() - 1.0, box[:, 0].max() + 1.0)))
-    rows = slice(*np.searchsorted(y, (box[:, 1].min() - 1.0, box[:, 1].max() + 1.0)))
-    u, v = plane_coordinates(view, tag.points, (half, half), np.zeros(3), x[columns], y[rows])
+    part, u, v = _card(view, tag.points, (half, half), np.zeros(3), paper_window)
+    cell_u, cell_v = _cell(u, v)
+    cover = coverage(np.abs(u) - half, cell_u) * coverage(np.abs(v) - half, cell_v)
+    white = cover * scene.paper * (1.0 + grain_at(scene, 5000 + index, (tag.card_mm, tag.card_mm), u, v))
+    spectra = [transform(_placed(image, part, paper_window)) for image in (white, cover)]
+    square = (0.5 * tag.size_mm, 0.5 * tag.size_mm)
+    ink_window = _window(view, tag.points, square, still, image, fine)
+    part, u, v = _card(view, tag.points, square, np.zeros(3), ink_window)
+    taken = tag_coverage(tag, u, v) * (scene.paper - scene.ink)
+    taken *= 1.0 + grain_at(scene, 5000 + index, (tag.card_mm, tag.card_mm), u, v)
+    ink = transform(_placed(taken, part, ink_window))
+    return Smear(Layer(paper_window, tuple(spectra)), Layer(ink_window, (ink,)))
+
+
+def tag_coverage(tag: Tag, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Fraction of each fine cell that is black."""
     cell_u, cell_v = _cell(u, v)
     module = tag.size_mm / 8.0
     modules = tag_modules(tag.number)
     ink = np.zeros_like(u)
-    # each black module as a box; neighbours' edges add up to full coverage
+    # each black module is a box; neighbours' edges add up to full coverage
     along_u = [coverage(np.abs(u - (k - 3.5) * module) - 0.5 * module, cell_u) for k in range(8)]
     along_v = [coverage(np.abs(v - (3.5 - k) * module) - 0.5 * module, cell_v) for k in range(8)]
     for row in range(8):
         across = sum((along_u[column] for column in range(8) if modules[row, column]), np.zeros_like(u))
         ink += along_v[row] * across
-    cover = coverage(np.abs(u) - half, cell_u) * coverage(np.abs(v) - half, cell_v)
-    grain = grain_at(scene, 5000 + index, (tag.card_mm, tag.card_mm), u, v)
-    shape = (y.size, x.size)
-    paper, light = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    paper[rows, columns] = cover
-    light[rows, columns] = cover * (scene.paper + (scene.ink - scene.paper) * ink) * (1.0 + grain)
-    return Smear(window, transform(light), transform(paper))
+    return ink

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -20,7 +21,7 @@ from labdrivers.sim.lens import Camera, FloatArray, Shift
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
 from labdrivers.sim.sensor import FloatImage, Sensor
-from labdrivers.sim.window import FINE, develop
+from labdrivers.sim.window import FINE, Window, develop
 
 Motion = Callable[[FloatArray], FloatArray]
 """Ascending times (n,) s -> displacement (n, 3) mm from rest."""
@@ -108,7 +109,7 @@ def render_frame(
     window_s = (opened_s, exposure_s)
     planes = _planes(backdrop(scene, view, panel_motion, window_s, 1.2), sensor, camera.image_size)
     for index in range(len(scene.tags)):
-        _composite(planes, smear_tag(scene, index, view, fine), optics, sensor)
+        _composite(planes, _still_tag(scene, index, view, fine, optics), sensor)
     truth: dict[str, TargetTruth] = {}
     for index, target in enumerate(scene.targets):
         motion = (motions or {}).get(target.name)
@@ -119,7 +120,8 @@ def render_frame(
             else Path(np.array([opened_s + 0.5 * exposure_s]), np.zeros((1, 3)))
         )
         truth[target.name] = _truth(target.name, rest, view, path, opened_s, frequency_hz, phase_rad)
-        _composite(planes, smear_target(scene, index, view, path, fine), optics, sensor)
+        smear = smear_target(scene, index, view, path, fine)
+        _composite(planes, None if smear is None else _develop(smear, optics), sensor)
     mean_dn = _interleave(planes, camera.image_size)
     for occluder in occluders:
         _occlude(mean_dn, occluder)
@@ -142,31 +144,67 @@ def _planes(reflectance: FloatImage, sensor: Sensor, image_size: tuple[int, int]
     return planes
 
 
-def _composite(planes: Planes, smear: Smear | None, optics: Optics, sensor: Sensor) -> None:
+@lru_cache(maxsize=512)
+def _still_tag(scene: Scene, index: int, view: View, fine: int, optics: Optics) -> Developed | None:
+    """Control targets do not move: they look the same in every frame of a camera that stands still."""
+    smear = smear_tag(scene, index, view, fine)
+    return None if smear is None else _develop(smear, optics)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Developed:
+    """A card seen through the lens: images of each colour in their windows."""
+
+    paper_window: Window
+    white: list[FloatImage]
+    cover: list[FloatImage]
+    ink_window: Window
+    taken: list[FloatImage]
+
+
+def _develop(smear: Smear, optics: Optics) -> Developed:
+    paper, ink = smear.paper, smear.ink
+    white, cover = (develop(spectrum, paper.window, optics) for spectrum in paper.spectra)
+    return Developed(paper.window, white, cover, ink.window, develop(ink.spectra[0], ink.window, optics))
+
+
+def _composite(planes: Planes, card: Developed | None, sensor: Sensor) -> None:
     """Put a card in front of what is there: its own light, and the rest dimmed by the time it was hidden."""
-    if smear is None:
+    if card is None:
         return
-    window = smear.window
-    light = develop(smear.light, window, optics)
-    cover = develop(smear.cover, window, optics)
-    for (row, column), plane in planes.items():
-        colour = sensor.colour(row, column)
-        top, left = (window.y0 - row) % HALF, (window.x0 - column) % HALF
-        first_row, first_column = (window.y0 + top - row) // HALF, (window.x0 + left - column) // HALF
-        mine = (slice(top, None, HALF), slice(left, None, HALF))
-        part_light, part_cover = light[colour][mine], cover[colour][mine]
-        rows, columns = part_light.shape
-        r0, c0 = max(first_row, 0), max(first_column, 0)
-        r1, c1 = min(first_row + rows, plane.shape[0]), min(first_column + columns, plane.shape[1])
-        if r0 >= r1 or c0 >= c1:
-            continue
-        inner = (slice(r0 - first_row, r1 - first_row), slice(c0 - first_column, c1 - first_column))
-        behind = plane[r0:r1, c0:c1]
-        hidden = np.clip(part_cover[inner], 0.0, 1.0)
-        # Behind the card only the far skirts of the lens's blur bring light, and those carry no detail.
-        soft = cv2.GaussianBlur(behind, (0, 0), 6.0)
-        mixed = behind + (soft - behind) * hidden
-        plane[r0:r1, c0:c1] = mixed * (1.0 - part_cover[inner]) + part_light[inner]
+    for site, plane in planes.items():
+        colour = sensor.colour(*site)
+        where, mine = _overlap(plane, site, card.paper_window)
+        if where is not None:
+            cover, white = card.cover[colour][mine], card.white[colour][mine]
+            behind = plane[where]
+            hidden = np.clip(cover, 0.0, 1.0)
+            # Behind the card only the far skirts of the lens's blur bring light, and those carry no detail.
+            soft = cv2.GaussianBlur(behind, (0, 0), 6.0)
+            mixed = behind + (soft - behind) * hidden
+            plane[where] = mixed * (1.0 - cover) + white
+        where, mine = _overlap(plane, site, card.ink_window)
+        if where is not None:
+            plane[where] -= card.taken[colour][mine]
+
+
+Part = tuple[slice, slice]
+
+
+def _overlap(plane: FloatImage, site: tuple[int, int], window: Window) -> tuple[Part | None, Part]:
+    """Which part of a site's plane a window covers, and which of the window's pixels lie there."""
+    whole: list[slice] = []
+    mine: list[slice] = []
+    for offset, start, length, size in zip(
+        site, (window.y0, window.x0), (window.height, window.width), plane.shape, strict=True
+    ):
+        first = max(-(-(start - offset) // HALF), 0)
+        last = min((start + length - 1 - offset) // HALF, size - 1)
+        whole.append(slice(first, last + 1))
+        mine.append(slice(first * HALF + offset - start, last * HALF + offset - start + 1, HALF))
+        if last < first:
+            return None, (slice(0), slice(0))
+    return (whole[0], whole[1]), (mine[0], mine[1])
 
 
 def _interleave(planes: Planes, image_size: tuple[int, int]) -> FloatImage:
