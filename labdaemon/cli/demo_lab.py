@@ -107,7 +107,7 @@ def laboratory(out: Path) -> Iterator[Lab]:
         The simulators are not installed.
     """
     with contextlib.ExitStack() as stack:
-        rig: SimulatedRig = simulator("rig")()
+        rig = _start_rig()
         stack.callback(rig.close)
         free = "tcp://127.0.0.1:*"
         config = rig.write_files(out, events=free, commands=free, data="daemon")
@@ -136,9 +136,17 @@ def simulator(name: str) -> Any:
     return found[name].load()
 
 
+def _start_rig() -> SimulatedRig:
+    try:
+        rig: SimulatedRig = simulator("rig")()
+    except (RuntimeError, ValueError, OSError) as exc:
+        raise DemoFailed(f"the simulated rig did not start: {exc}") from exc
+    return rig
+
+
 def _start_daemon(config: Path, log: IO[str]) -> subprocess.Popen[str]:
     """In a session of its own, so that Ctrl-C reaches only us and we end things in order."""
-    command = [sys.executable, "-m", "labdaemon", "run", str(config), "--json"]
+    command = [sys.executable, "-P", "-m", "labdaemon", "run", str(config), "--json"]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True, env=environment

@@ -153,7 +153,7 @@ def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enab
     RuntimeError
         It did not come up.
     """
-    command = [sys.executable, "-m", "labdrivers.sim.server", "--follow-stdin", "--seed", str(seed)]
+    command = [sys.executable, "-P", "-m", "labdrivers.sim.server", "--follow-stdin", "--seed", str(seed)]
     command += ["--small"] if small else []
     command += ["--cards", str(cards)] if cards is not None else []
     command += [] if enable_wired else ["--enable-not-wired"]
