@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 import zmq
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError
@@ -168,6 +170,17 @@ def test_events_lost_on_the_way_are_replayed() -> None:
         assert take(stream, 6) == [1, 2, 3, 4, 5, 6]
         service.commit(2, silently=True)  # the heartbeat tells of these
         assert take(stream, 2) == [7, 8]
+
+
+@settings(max_examples=12, deadline=None)
+@given(pattern=st.lists(st.tuples(st.booleans(), st.integers(1, 60)), min_size=1, max_size=6))
+def test_whatever_is_lost_every_event_comes_once_in_order(pattern: list[tuple[bool, int]]) -> None:
+    with Service(ListOutbox(count=3)) as service, service.client() as client, following(client) as stream:
+        for is_lost, count in pattern:
+            service.commit(count, silently=is_lost)
+        service.commit(1)
+        total = 1 + sum(count for _, count in pattern)
+        assert take(stream, total) == list(range(4, 4 + total))
 
 
 def test_the_heartbeat_comes_every_second() -> None:
