@@ -4,67 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.places import campaign_folder
 from labdaemon.errors import UsageError
-from labdaemon.journal import records
-from labdaemon.journal.journal import Journal
 from labdaemon.stream.commands import Handler
 from labdaemon.stream.events import replay
 from labdaemon.stream.messages import InvalidParams
 
 MAX_LABEL = 200
-
-
-METHODS = (
-    "status",
-    "rig",
-    "campaign.submit",
-    "campaign.pause",
-    "campaign.resume",
-    "campaign.abort",
-    "capture",
-    "events.replay",
-    "stop",
-)
-
-
-class Desk:
-    """Takes commands from the moment the socket is bound, and carries them out once `open` was called.
-
-    It also knows the replies to earlier requests. Handlers keep those in the journal with the change itself, so that a
-    crash cannot come between, and `keep` has nothing left to do.
-    """
-
-    def __init__(self) -> None:
-        self._opened = asyncio.Event()
-        self._handlers: dict[str, Handler] = {}
-        self._journal: Journal | None = None
-
-    def open(self, handlers: dict[str, Handler], journal: Journal) -> None:
-        """Carry out what waits and what comes."""
-        self._handlers, self._journal = handlers, journal
-        self._opened.set()
-
-    def handlers(self) -> dict[str, Handler]:
-        """A handler for every method."""
-        return {method: partial(self._do, method) for method in METHODS}
-
-    def answer(self, request_id: str) -> Any | None:
-        """The reply that the request had, None if it was never carried out."""
-        known = records.reply_to(self._journal, request_id) if self._journal is not None else None
-        return known[1] if known is not None else None
-
-    def keep(self, request_id: str, result: Any) -> None:
-        """The reply is kept already."""
-
-    async def _do(self, method: str, params: dict[str, Any]) -> Any:
-        await self._opened.wait()
-        return await self._handlers[method](params)
 
 
 def text_of(params: dict[str, Any], name: str, *, default: str | None = None, longest: int = 1 << 20) -> str:

@@ -1,0 +1,185 @@
+"""What runs while the daemon serves: engine, stream, workers and watchdog, wired to the table that is held."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import shutil
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from typing import Any
+
+from labdaemon import __version__
+from labdaemon.campaign.attempts import Policy
+from labdaemon.campaign.campaign_file import load_campaign
+from labdaemon.campaign.engine import Engine
+from labdaemon.campaign.interlocks import Limits
+from labdaemon.campaign.measuring import Measuring
+from labdaemon.campaign.plan import make_plan
+from labdaemon.campaign.steps import Plan
+from labdaemon.capture.capture import Lab
+from labdaemon.capture.lines import DeviceLine
+from labdaemon.capture.recorder import Recorder
+from labdaemon.errors import InterlockError
+from labdaemon.journal.transitions import probe
+from labdaemon.processing import WorkerPool
+from labdaemon.service.config import RigConfig, plan_rig
+from labdaemon.service.daemon import Held
+from labdaemon.service.devices import camera_choices, connect_others, exposure_steps
+from labdaemon.service.handlers import handlers
+from labdaemon.service.measuring import PoolMeasurer
+from labdaemon.service.status import status_of
+from labdaemon.service.supervise import supervise
+from labdaemon.service.watchdog import feed, notify
+from labdaemon.stream.events import EventPublisher
+
+log = logging.getLogger(__name__)
+
+ExposureSteps = dict[str, tuple[float, ...]]
+
+
+async def serve(held: Held, end: asyncio.Future[int]) -> int:
+    """Serve until told to end, or until a part fails for good; the table is at rest when this returns.
+
+    Parameters
+    ----------
+    held
+        What the daemon holds.
+    end
+        Exit status, set when somebody wants it to end.
+
+    Raises
+    ------
+    LabdaemonError
+        A device does not answer, the events address is taken, or a part failed too often.
+    """
+    engine: Engine
+    config = held.config
+    publisher = EventPublisher(config.service.events, held.journal, lambda: status_of(engine), held.clock)
+    recorder = Recorder(held.journal, DeviceLine("journal"), publisher.wake)
+    pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
+    try:
+        publisher.bind()
+        identities = held.identities | await connect_others(held.rig)
+        steps = await exposure_steps(held.rig)
+        engine = _engine(held, recorder, pool, partial(_plan, held, steps))
+        rig = _describe(held, identities, publisher.address)
+        submitted = partial(_plan, held, steps, check_disk=True)
+        held.desk.open(handlers(engine, submitted, lambda: status_of(engine), rig), held.journal)
+        return await _run_parts(held, engine, publisher, recorder, end)
+    finally:
+        publisher.close()
+        pool.close()
+        recorder.close()
+
+
+async def _run_parts(
+    held: Held, engine: Engine, publisher: EventPublisher, recorder: Recorder, end: asyncio.Future[int]
+) -> int:
+    parts: list[asyncio.Future[Any]] = [
+        asyncio.create_task(supervise("events", publisher.run, held.clock)),
+        asyncio.create_task(supervise("commands", held.commands.run, held.clock)),
+        asyncio.create_task(engine.run()),
+        asyncio.create_task(feed(held.clock, _checks(engine, recorder), _stalled)),
+    ]
+    held.ready(held.commands.address, publisher.address)
+    notify(f"READY=1\nSTATUS=serving on {held.commands.address}")
+    try:
+        await asyncio.wait([*parts, end], return_when=asyncio.FIRST_COMPLETED)
+        for part in parts:
+            if part.done():
+                part.result()
+        return end.result()
+    finally:
+        for part in parts:
+            part.cancel()
+        try:
+            await held.table.stop()
+        except InterlockError as exc:
+            log.critical("%s", exc)
+        await asyncio.gather(*parts, return_exceptions=True)
+        await engine.measuring.cancel()
+
+
+def _engine(held: Held, recorder: Recorder, pool: WorkerPool, planner: Callable[[str], Plan]) -> Engine:
+    interlocks = held.config.interlocks
+    lab = Lab(
+        held.rig,
+        held.table,
+        recorder,
+        held.clock,
+        held.data,
+        cameras=camera_choices(held.config),
+        camera_timeout_s=interlocks.camera_timeout_s,
+    )
+    engine = Engine(
+        lab,
+        Measuring(recorder, PoolMeasurer(pool), held.clock, held.data, depth=2 * pool.workers),
+        planner,
+        Limits(**interlocks.model_dump()),
+        folder_files=_folder_files(held.config),
+        free_bytes=lambda: shutil.disk_usage(held.data).free,
+        policy=Policy(accept_changed_rig=held.options.accept_changed_rig, window_s=held.config.trigger.window_s),
+    )
+    exposures = [camera.exposure_s for camera in held.config.cameras.values() if camera.exposure_s is not None]
+    engine.manual.exposure_s = exposures[0] if exposures else 1.0
+    return engine
+
+
+def _plan(held: Held, steps: ExposureSteps, toml: str, *, check_disk: bool = False) -> Plan:
+    """A campaign's plan for this rig, as its cameras are set now."""
+    free = None
+    if check_disk:
+        free = max(shutil.disk_usage(held.data).free - held.config.interlocks.min_disk_bytes, 0)
+    return make_plan(load_campaign(toml), plan_rig(held.config, exposure_steps_s=steps, free_bytes=free))
+
+
+def _folder_files(config: RigConfig) -> dict[str, str]:
+    """What makes a campaign's folder a data-set folder."""
+    files = {
+        "rig.toml": config.source.read_text(encoding="utf-8"),
+        "control.csv": config.path(config.control.file).read_text(encoding="utf-8"),
+    }
+    if config.targets.file is not None:
+        files["targets.csv"] = config.path(config.targets.file).read_text(encoding="utf-8")
+    return files
+
+
+def _describe(held: Held, identities: dict[str, str], events: str) -> dict[str, Any]:
+    """The answer to `rig`."""
+    config = held.config
+    return {
+        "version": __version__,
+        "pid": os.getpid(),
+        "config": str(config.source),
+        "service": {"commands": held.commands.address, "events": events, "data": str(held.data)},
+        "campaigns": str(held.data / "campaigns"),
+        "devices": identities,
+        "cameras": list(config.cameras),
+        "gauges": [gauge.name for gauge in config.gauges],
+        "limits": config.shaker.limits.model_dump() if config.shaker is not None else None,
+        "interlocks": config.interlocks.model_dump(),
+    }
+
+
+def _checks(engine: Engine, recorder: Recorder) -> Mapping[str, Callable[[], Awaitable[bool]]]:
+    """What must have moved since the watchdog was last fed. The event loop is what asks."""
+    seen = {"beats": -1}
+
+    async def journal() -> bool:
+        await recorder.write(probe)
+        return True
+
+    async def guard() -> bool:
+        before, seen["beats"] = seen["beats"], engine.guard.beats
+        return engine.guard.beats > before
+
+    async def workers() -> bool:
+        return engine.measuring.oldest_s() <= 2.0 * engine.limits.worker_stall_s
+
+    return {"journal": journal, "guard": guard, "workers": workers}
+
+
+def _stalled(names: list[str]) -> None:
+    log.error("no progress in %s: the watchdog is not fed", ", ".join(names))
