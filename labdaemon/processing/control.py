@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, measure_still, sharp_texture
+from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.geometry.lens import Lens
@@ -47,9 +47,6 @@ class ControlTargets:
         Polygon around each, (k, 2) px, in which nothing else is a target.
     sharp
         What they look like, to be compared with later frames.
-    own_blur_px2
-        (m,) extra blur that each reads against its own sharp frame: what putting a mosaic's colours together costs. Zero
-        for a perfect picture, and to be subtracted from what it reads against later frames.
     thumbnails
         The same as small pictures, to be found again.
     """
@@ -61,7 +58,6 @@ class ControlTargets:
     side_px: FloatArray = field(default_factory=lambda: np.empty(0))
     outlines: tuple[FloatArray, ...] = ()
     sharp: tuple[SharpTarget, ...] = ()
-    own_blur_px2: FloatArray = field(default_factory=lambda: np.empty(0))
     thumbnails: tuple[Thumbnail, ...] = ()
 
 
@@ -124,17 +120,15 @@ def find_control(
     """
     seen = _rings(frame, frames, grey, family) if ring_bits(family) else _tags(frame, family, lens)
     seen = [one for one in seen if known is None or one.name in known]
-    sharp, own, thumbnails, kept = [], [], [], []
+    sharp, thumbnails, kept = [], [], []
     for one in seen:
         box = _box(one, frame.size)
         if box is None:
             continue
         cuts = [_rimmed(each, box) for each in frames]
         target = fit_sharp(one.dot, cuts) if one.dot is not None else sharp_texture(cuts, box, name=one.name)
-        still = measure_still(target, cuts[0])
         kept.append(one)
         sharp.append(target)
-        own.append(still.extra_blur_px2 if np.isfinite(still.extra_blur_px2) else 0.0)
         thumbnails.append(Thumbnail.cut(grey, box))
     return ControlTargets(
         family,
@@ -144,7 +138,6 @@ def find_control(
         np.array([one.side_px for one in kept]),
         tuple(one.outline for one in kept),
         tuple(sharp),
-        np.array(own),
         tuple(thumbnails),
     )
 

@@ -134,7 +134,8 @@ def _prepare(folder: DataFolder, todo: Sequence[Job], pool: WorkerPool, tell: Pr
     for one in files:
         prepared = [task.result() for its, _, task in tasks if its is one]
         first = next(iter(sets.values()), None)
-        sets[one.name] = assemble(folder, one, prepared, like=first)
+        # In a worker, since this process may run many threads of linear algebra that only hinder each other.
+        sets[one.name] = pool.submit(assemble, folder, one, prepared, like=first).result()
     return sets
 
 
@@ -149,10 +150,14 @@ def _measure(
         for job in todo
     ]
     _wait([task for one in tasks for task in one], "blurred frames", tell)
-    return [
-        join_frames(folder, sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name)
+    joins = [
+        pool.submit(
+            join_frames, folder, sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name
+        )
         for job, one in zip(todo, tasks, strict=True)
     ]
+    _wait(joins, "envelopes", tell)
+    return [join.result() for join in joins]
 
 
 def _wait(tasks: Sequence[Future], what: str, tell: Progress) -> None:  # type: ignore[type-arg]

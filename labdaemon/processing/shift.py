@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,12 +68,12 @@ def frame_shift(frame: RawFrame, grey: Picture, control: ControlTargets) -> Fram
         return UNKNOWN
     starts = _starts(frame, grey, control)
     stills = []
-    for target, own, start in zip(control.sharp, control.own_blur_px2, starts, strict=True):
+    for target, start in zip(control.sharp, starts, strict=True):
         if start is None:
             continue
         still = measure_still(target, _around(frame, target.form.half_size_px, start), start=Start(start))
-        if np.isfinite(still.covariance_px2).all():
-            stills.append(replace(still, extra_blur_px2=still.extra_blur_px2 - own))
+        if np.isfinite(still.covariance_px2).all() and np.isfinite([*still.shift_px, still.extra_blur_px2]).all():
+            stills.append(still)
     if not stills:
         return UNKNOWN
     return _fit(stills, frame.size)
