@@ -281,7 +281,7 @@ def test_motion_like_the_others_settles_a_chance_ambiguity(look) -> None:
 
 
 def test_a_column_that_is_open_as_a_whole_is_not_settled_by_another(look) -> None:
-    """One column sways along the base line of level cameras (open), the other across it (settled): no likeness there."""
+    """One column sways along the base line of level cameras (open), the other across it (settled)."""
     rng = np.random.default_rng(41)
     wrong = 0
     for _ in range(8):
