@@ -47,10 +47,10 @@ def excitation(data: dict[str, Any]) -> str:
     """`8 Hz, 1 mm`, as far as it is known."""
     parts = []
     if data.get("frequency_hz") is not None:
-        parts.append(f"{data['frequency_hz']:g} Hz")
+        parts.append(f"{data['frequency_hz']:.5g} Hz")
     amplitude = data.get("amplitude_mm", data.get("excitation_amplitude_mm"))
     if amplitude is not None:
-        parts.append(f"{amplitude:g} mm")
+        parts.append(f"{amplitude:.3g} mm")
     return ", ".join(parts)
 
 
