@@ -14,6 +14,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from labdaemon.capture.rig import Rig, bring_to_rest
 from labdaemon.capture.table import Table
@@ -26,6 +27,10 @@ from labdaemon.service.desk import Desk
 from labdaemon.service.devices import build_rig, connect_stoppers
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.commands import CommandServer
+
+if TYPE_CHECKING:
+    from labdaemon.campaign.measuring import Measurer
+    from labdaemon.processing import WorkerPool
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +60,10 @@ class Options:
     accept_changed_rig: bool = False
 
 
+MakeMeasurer = Callable[["WorkerPool", Journal], "Measurer"]
+"""What measures stored captures; a crash test has it measured cheaply."""
+
+
 @dataclass(slots=True)
 class Held:
     """What the daemon holds while it serves."""
@@ -70,20 +79,32 @@ class Held:
     desk: Desk
     identities: dict[str, str]
     ready: Ready
+    measurer: MakeMeasurer | None
 
 
-def run_daemon(config: RigConfig, options: Options | None = None, *, ready: Ready = lambda *_: None) -> int:
+def run_daemon(
+    config: RigConfig,
+    options: Options | None = None,
+    *,
+    ready: Ready = lambda *_: None,
+    measurer: MakeMeasurer | None = None,
+) -> int:
     """Run until told to end, and return the exit status.
+
+    Parameters
+    ----------
+    measurer
+        Makes what measures; None for the worker pool's own.
 
     Raises
     ------
     LabdaemonError
         It could not start, or a part of it failed for good. The table is at rest.
     """
-    return asyncio.run(_run(config, options or Options(), ready))
+    return asyncio.run(_run(config, options or Options(), ready, measurer))
 
 
-async def _run(config: RigConfig, options: Options, ready: Ready) -> int:
+async def _run(config: RigConfig, options: Options, ready: Ready, measurer: MakeMeasurer | None) -> int:
     loop = asyncio.get_running_loop()
     end: asyncio.Future[int] = loop.create_future()
 
@@ -100,7 +121,7 @@ async def _run(config: RigConfig, options: Options, ready: Ready) -> int:
     commands = CommandServer(config.service.commands, desk.handlers(), desk)
     try:
         commands.bind()
-        return await _hold_table(config, options, data, rig, lock, commands, desk, ready, end)
+        return await _hold_table(config, options, data, rig, lock, commands, desk, ready, measurer, end)
     finally:
         commands.close()
         lock.release()
@@ -115,6 +136,7 @@ async def _hold_table(
     commands: CommandServer,
     desk: Desk,
     ready: Ready,
+    measurer: MakeMeasurer | None,
     end: asyncio.Future[int],
 ) -> int:
     """From the first word to the table until the last."""
@@ -131,7 +153,7 @@ async def _hold_table(
             # Loading what measures takes longer than bringing the table to rest, so it comes after.
             from labdaemon.service.serving import serve
 
-            held = Held(config, options, data, clock, rig, table, journal, commands, desk, identities, ready)
+            held = Held(config, options, data, clock, rig, table, journal, commands, desk, identities, ready, measurer)
             return await serve(held, end)
         finally:
             journal.close()

@@ -113,9 +113,10 @@ def _engine(held: Held, recorder: Recorder, pool: WorkerPool, planner: Callable[
         cameras=camera_choices(held.config),
         camera_timeout_s=interlocks.camera_timeout_s,
     )
+    measurer = held.measurer(pool, held.journal) if held.measurer is not None else PoolMeasurer(pool)
     engine = Engine(
         lab,
-        Measuring(recorder, PoolMeasurer(pool), held.clock, held.data, depth=2 * pool.workers),
+        Measuring(recorder, measurer, held.clock, held.data, depth=2 * pool.workers),
         planner,
         Limits(**interlocks.model_dump()),
         folder_files=_folder_files(held.config),
