@@ -17,7 +17,7 @@ import zmq.asyncio
 from labdaemon.errors import ConfigError, DeviceError, LabdaemonError
 from labdaemon.stream import messages
 from labdaemon.stream.messages import BadRequest, InvalidParams, Request
-from labdaemon.stream.sockets import bind
+from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
 
 Handler = Callable[[dict[str, Any]], Awaitable[Any]]
 """Takes the params, returns the result, raises a `LabdaemonError`."""
@@ -85,7 +85,9 @@ class CommandServer:
         ConfigError
             It is taken.
         """
-        self._socket = bind(self._context, zmq.ROUTER, self.address, key="service.commands")
+        self._socket = bind(
+            self._context, zmq.ROUTER, self.address, key="service.commands", high_water=ANSWERS_HIGH_WATER
+        )
         self.address = self._socket.get_string(zmq.LAST_ENDPOINT)
 
     async def run(self) -> None:

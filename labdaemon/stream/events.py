@@ -17,7 +17,7 @@ import zmq.asyncio
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.journal.event import Event
 from labdaemon.stream.messages import InvalidParams
-from labdaemon.stream.sockets import bind
+from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
 
 STATUS_PERIOD_S = 1.0
 GREETING_PAUSE_S = 0.02
@@ -25,7 +25,7 @@ GREETING_PAUSE_S = 0.02
 BATCH = 256
 """Events read from the outbox at a time."""
 MAX_REPLAY = 1000
-MAX_REPLAY_BYTES = 4 << 20
+MAX_REPLAY_BYTES = 1 << 20
 """An answer stays below this, so that a client far behind asks several times instead of choking the daemon once."""
 
 
@@ -78,7 +78,7 @@ class EventPublisher:
         ConfigError
             It is taken.
         """
-        self._socket = bind(self._context, zmq.XPUB, self.address, key="service.events")
+        self._socket = bind(self._context, zmq.XPUB, self.address, key="service.events", high_water=EVENTS_HIGH_WATER)
         self._socket.set(zmq.XPUB_VERBOSE, 1)
         self.address = self._socket.get_string(zmq.LAST_ENDPOINT)
 

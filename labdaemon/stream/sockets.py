@@ -11,13 +11,15 @@ from labdaemon.errors import ConfigError
 
 MAX_FRAME_BYTES = 1 << 20
 """A frame beyond this makes libzmq drop the connection; the longest campaign is far smaller."""
-HIGH_WATER = 1000
-"""Messages kept for a peer that does not read; it then loses some, notices by `seq` and asks for them again."""
+EVENTS_HIGH_WATER = 1000
+"""Events kept for a subscriber that does not read; it then loses some, notices by `seq` and asks for them again."""
+ANSWERS_HIGH_WATER = 64
+"""Answers kept for a client that asks and does not read; with 1 MiB for the longest it holds 64 MiB at most."""
 LINGER_MS = 500
 """How long a closing socket tries to deliver what it still has."""
 
 
-def bind(context: zmq.asyncio.Context, kind: int, address: str, *, key: str) -> zmq.asyncio.Socket:
+def bind(context: zmq.asyncio.Context, kind: int, address: str, *, key: str, high_water: int) -> zmq.asyncio.Socket:
     """A bound socket.
 
     Parameters
@@ -28,6 +30,8 @@ def bind(context: zmq.asyncio.Context, kind: int, address: str, *, key: str) -> 
         ``tcp://127.0.0.1:PORT``.
     key
         Of the rig file, for the message.
+    high_water
+        Messages kept for each peer.
 
     Raises
     ------
@@ -36,8 +40,8 @@ def bind(context: zmq.asyncio.Context, kind: int, address: str, *, key: str) -> 
     """
     socket = context.socket(kind)
     socket.set(zmq.LINGER, LINGER_MS)
-    socket.set(zmq.SNDHWM, HIGH_WATER)
-    socket.set(zmq.RCVHWM, HIGH_WATER)
+    socket.set(zmq.SNDHWM, high_water)
+    socket.set(zmq.RCVHWM, high_water)
     socket.set(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
     try:
         socket.bind(address)
