@@ -236,16 +236,19 @@ def test_replay_answers_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_client_that_asks_and_never_reads_harms_nobody() -> None:
     outbox = ListOutbox()
     outbox.add(200, size=20_000)
-    with Service(outbox) as service, service.client() as client, zmq.Context() as context:
-        with context.socket(zmq.DEALER) as greedy:
-            greedy.set(zmq.LINGER, 0)
-            greedy.set(zmq.RCVHWM, 1)
-            greedy.connect(service.server.address)
-            for number in range(500):
-                request = {"jsonrpc": "2.0", "id": number, "method": "events.replay", "params": {}}
-                greedy.send_json(request)
-            for _ in range(5):
-                assert client.replay(199)["last"] == 200
+    with (
+        Service(outbox) as service,
+        service.client() as client,
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as greedy,
+    ):
+        greedy.set(zmq.LINGER, 0)
+        greedy.set(zmq.RCVHWM, 1)
+        greedy.connect(service.server.address)
+        for number in range(500):
+            greedy.send_json({"jsonrpc": "2.0", "id": number, "method": "events.replay", "params": {}})
+        for _ in range(5):
+            assert client.replay(199)["last"] == 200
 
 
 @pytest.mark.parametrize("params", [{"after": -1}, {"after": "x"}, {"after": 1.5}, {"limit": True}, {"limit": 1 << 70}])
