@@ -47,7 +47,7 @@ class Verdict:
         return Verdict(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
 
 
-def judge(data: Path, *, taken: int, on_cards: int, captures: int) -> Verdict:
+def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bool = True) -> Verdict:
     """Look at a data folder whose daemon has ended.
 
     Parameters
@@ -58,6 +58,8 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int) -> Verdict:
         Of them, still on cards.
     captures
         Steps that must have one envelope each.
+    has_files
+        Whether result files were written, and must agree.
     """
     with sqlite3.connect(f"file:{data / 'journal.db'}?mode=ro", uri=True) as journal:
         seqs = [row[0] for row in journal.execute("SELECT seq FROM events ORDER BY seq")]
@@ -77,7 +79,7 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int) -> Verdict:
     return Verdict(
         frames_lost=max(taken - whole - on_cards, 0),
         results_repeated=sum(count - 1 for count in a_step.values()) + sum(count - 1 for count in a_file.values()),
-        results_missing=2 * captures - len(a_step) - len(a_file),
+        results_missing=captures - len(a_step) + (captures - len(a_file) if has_files else 0),
         stray_parts=sum(1 for _ in data.rglob(f"*{PART}")),
         seq_gaps=sum(later - earlier != 1 for earlier, later in zip([0, *seqs], seqs, strict=False)),
         open_ends=int(ends),

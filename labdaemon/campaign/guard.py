@@ -68,7 +68,7 @@ class Guard:
         while True:
             if trigger is not None and table.enabled:
                 try:
-                    await trigger.urgent(lambda driver: driver.heartbeat())
+                    await trigger.urgent(lambda driver: driver.heartbeat(), HEARTBEAT_S)
                 except DeviceRefused as exc:
                     table.enabled = False
                     if table.excitation is not None:

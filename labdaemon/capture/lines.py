@@ -17,8 +17,8 @@ from labdaemon.errors import TransportError
 
 T = TypeVar("T")
 
-MAX_ABANDONED = 8
-"""Threads that may hang in one device's driver before it is declared dead for this run of the daemon."""
+MAX_STUCK = 8
+"""Threads that may hang in one device's driver at a time before no more calls are made."""
 
 
 class Line(Protocol):
@@ -41,6 +41,7 @@ class _Worker:
     """A thread that makes calls one after the other."""
 
     def __init__(self, name: str) -> None:
+        self.is_busy = False
         self._calls: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         threading.Thread(target=self._work, name=name, daemon=True).start()
 
@@ -49,7 +50,9 @@ class _Worker:
 
     def _work(self) -> None:
         while (call := self._calls.get()) is not None:
+            self.is_busy = True
             call()
+            self.is_busy = False
 
 
 class DeviceLine:
@@ -65,7 +68,7 @@ class DeviceLine:
         self._device = device
         self._worker: _Worker | None = None
         self._urgent: _Worker | None = None
-        self._abandoned = 0
+        self._abandoned: list[_Worker] = []
 
     async def call(self, function: Callable[[], T], timeout_s: float) -> T:
         if self._worker is None:
@@ -96,10 +99,9 @@ class DeviceLine:
         self._worker = self._urgent = None
 
     async def _wait(self, worker: _Worker, function: Callable[[], T], timeout_s: float) -> T:
-        if self._abandoned >= MAX_ABANDONED:
-            raise TransportError(
-                f"hung {self._abandoned} times; power-cycle it and restart the daemon", device=self._device
-            )
+        self._abandoned = [worker for worker in self._abandoned if worker.is_busy]
+        if len(self._abandoned) >= MAX_STUCK:
+            raise TransportError(f"{MAX_STUCK} calls hang in it; power-cycle it", device=self._device)
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
 
@@ -127,7 +129,7 @@ class DeviceLine:
             return await future
 
     def _give_up(self, worker: _Worker, timeout_s: float) -> TransportError:
-        self._abandoned += 1
+        self._abandoned.append(worker)
         worker.put(None)
         return TransportError(f"did not answer within {timeout_s:g} s; check its cable and power", device=self._device)
 
