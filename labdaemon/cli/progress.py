@@ -95,9 +95,10 @@ def event_line(event: dict[str, Any]) -> str | None:
         case "step.skipped":
             return f"skipped    {data.get('label', data.get('step'))}: {data.get('reason', '')}".rstrip(": ")
         case "fault":
-            device = f"{data['device']}: " if data.get("device") else ""
+            message, device = str(data.get("message", "")), data.get("device")
+            named = message if not device or message.startswith(f"{device}:") else f"{device}: {message}"
             action = f" ({data['action']})" if data.get("action") else ""
-            return f"FAULT      {device}{data.get('message', '')}{action}"
+            return f"FAULT      {named}{action}"
         case _:
             reason = f": {data['reason']}" if data.get("reason") else ""
             return f"{kind.partition('.')[2] or kind:<10} campaign {event.get('campaign') or ''}{reason}"

@@ -121,7 +121,9 @@ def capture(label: str, request_id: str | None, address: str, as_json: bool) -> 
 def stop(address: str, as_json: bool) -> None:
     """Bring the shaker to rest now, whatever is going on."""
     result = ask(address, "stop", timeout_s=STOP_TIMEOUT_S)
-    say(result, as_json, "the shaker is at rest")
+    for trouble in result.get("troubles", ()):
+        click.echo(f"labdaemon: {trouble}", err=True)
+    say(result, as_json, "there is no shaker" if result.get("rest") == "none" else "the shaker is at rest")
 
 
 @click.command()

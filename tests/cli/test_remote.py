@@ -50,7 +50,7 @@ HISTORY: list[tuple[str, dict[str, Any]]] = [
     ("step.started", {"step": 1, "label": "00001-steps-5.000hz", "frequency_hz": 5.0, "amplitude_mm": 2.0}),
     ("capture.completed", {"capture": "00001-steps-5.000hz", "step": 1}),
     ("envelope", {"capture": "00001-steps-5.000hz", "targets": TARGETS}),
-    ("fault", {"device": "left", "message": "no answer", "action": "retry"}),
+    ("fault", {"device": "left", "message": "left: no answer", "action": "retry"}),
     ("step.completed", {"step": 1}),
     ("campaign.completed", {}),
 ]
