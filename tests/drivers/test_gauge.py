@@ -143,6 +143,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_named_and_end_with_a_new_connection(streaming, fault):
     device, gauge = streaming

@@ -171,6 +171,6 @@ class PtpSession:
         raise ProtocolError("answers other transactions than the one asked; reset the camera", device=self.device)
 
     def _refusal(self, operation: int, code: int) -> PtpRefused:
-        name = Op(operation).name.lower()
+        name = next((op.name.lower() for op in Op if op == operation), f"{operation:#06x}")
         meaning = MEANINGS.get(code, "refused")
         return PtpRefused(f"{meaning} ({code:#06x} to {name})", device=self.device, code=code)
