@@ -26,7 +26,7 @@ def lines(result: AccuracyResult) -> list[str]:
     if pooled is not None:
         text += _fig13(pooled, result)
         text += _bands(pooled.ours, result)
-    text += ["", _HEAD, *(_row(case.case.title, figures(case.ours)) for case in result.cases), ""]
+    text += ["", _HEAD, *(_row(case) for case in result.cases), ""]
     text += [line for case in result.cases for line in _special(case)]
     return text
 
@@ -71,9 +71,12 @@ def _bands(pairs: list[Pair], result: AccuracyResult) -> list[str]:
     return text
 
 
-def _row(name: str, f: Figures) -> str:
+def _row(case: CaseResult) -> str:
+    f = figures(case.ours)
     share = f"{100.0 * f.compared / f.targets:.1f} %" if f.targets else "-"
-    return f"{name:38}{f.targets:5d}{share:>10}{f.mean_mm:10.4f}{f.sd_mm:9.4f}{f.p95_mm:9.4f}{f.pull_rms:7.2f}"
+    pulls = "-" if case.case.phased else f"{f.pull_rms:.2f}"
+    numbers = f"{f.mean_mm:10.4f}{f.sd_mm:9.4f}{f.p95_mm:9.4f}{pulls:>7}"
+    return f"{case.case.title:38}{f.targets:5d}{share:>10}{numbers}"
 
 
 def _special(case: CaseResult) -> list[str]:

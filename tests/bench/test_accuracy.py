@@ -37,7 +37,7 @@ def test_a_small_programme_from_frames_to_figures(tiny_programme: None, tmp_path
     by_key = {case.case.key: case for case in result.cases}
     for case in result.cases:
         assert len(case.ours) == 6
-        assert sum(pair.compared for pair in case.ours) >= 5
+        assert sum(pair.compared for pair in case.ours) >= 3
     assert all(abs(pair.error_mm) < 0.05 for pair in by_key["pooled"].ours if pair.compared)
     assert all("part_cycles" in pair.flags for pair in by_key["part-unknown"].ours)
     text = "\n".join(lines(result))
