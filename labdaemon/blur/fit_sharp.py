@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labdaemon.blur import shapes
+from labdaemon.blur.grain import noise_of_residuals
 from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
@@ -19,7 +20,9 @@ from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
-POOR_CHI2 = 1.6
+MARGIN_PX = 8  # between a patch and its periodic images
+POOR_CHI2 = 1.8
+DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
 
 
 def average(patches: Sequence[Patch]) -> tuple[Patch, int]:
@@ -69,20 +72,39 @@ def fit_sharp(dot: Dot, patches: Sequence[Patch], *, noise: NoiseModel | None = 
         A patch off the frame, or an unknown colour filter.
     """
     patch, count = average(patches)
-    known = noise is not None
-    single = noise if noise is not None else estimate_noise([patch])
-    mean_noise = NoiseModel(single.read_dn / np.sqrt(count), single.gain_dn / count, single.texture, single.texture_px)
-    if not known:
-        mean_noise, count = single, 1
     cut = _crop(dot, patch)
     area = np.pi * dot.semi_major_px * dot.semi_minor_px
+    first = noise if noise is not None else estimate_noise([_crop(dot, one) for one in patches])
     blob = find_blob(cut, np.array([dot.x_px, dot.y_px]), area, None)
     if blob is None or not 0.3 < blob.area_px2 / area < 3.0:
-        return _nothing(dot, cut, single, known, saturated=_all_hidden(cut))
+        return _nothing(dot, cut, first, noise is not None, saturated=_all_hidden(cut))
     paper = paper_around(cut, np.array([dot.x_px, dot.y_px]), dot.semi_major_px)
     planes = split(masked(cut, ~paper))
-    solution, lens = _fit(dot, planes, mean_noise, blob)
-    return _target(dot, planes, paper, solution, lens, single, known)
+    solution, lens = _fit(dot, planes, _mean_of(first, count), blob)
+    used, known = _noise(planes, solution, first, count, given=noise is not None)
+    return _target(dot, planes, paper, solution, lens, used, known)
+
+
+def _mean_of(noise: NoiseModel, frames: int) -> NoiseModel:
+    """Noise of a mean of frames; the paper's grain is the same in all."""
+    return NoiseModel(noise.read_dn / np.sqrt(frames), noise.gain_dn / frames, noise.texture, noise.texture_px)
+
+
+def _noise(
+    planes: Planes, solution: Solution, first: NoiseModel, frames: int, *, given: bool
+) -> tuple[NoiseModel, bool]:
+    """The noise model for later fits, and whether it can be relied on.
+
+    The residuals of a dot that fits are noise and grain. They are not where the dot does not fit: where they are much
+    larger than what neighbouring pixels of one colour differ by.
+    """
+    left = np.where(solution.weight > 0, solution.residual / np.sqrt(np.maximum(solution.weight, 1e-300)), 0.0)
+    found = noise_of_residuals(planes, left, solution.signal, solution.weight, frames)
+    if given:
+        return NoiseModel(first.read_dn, first.gain_dn, first.texture or found.texture, found.texture_px), True
+    if solution.chi2 > DOUBTFUL_CHI2:
+        return first, False
+    return found, True
 
 
 def _crop(dot: Dot, patch: Patch) -> Patch:
@@ -119,34 +141,34 @@ def dot_model(planes: Planes, grid: Grid) -> Model:
     def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         dark, by_q = shapes.ellipse(grid.fx, grid.fy, p[2:5])
         own = p[COMMON:].reshape(n, 4)
-        spectra = np.zeros((1 + len(p), n, *f2.shape), dtype=np.complex128)
+        # 0 the dot, 1..6 by the common parameters, 7 by the lattice's own diffraction width
+        spectra = np.empty((8, n, *f2.shape), dtype=np.complex128)
         for index in range(n):
             extra, width, ox, oy = own[index]
-            gauss = shapes.gaussian(f2, p[5] + extra) * flat
-            passed = shapes.diffraction(f, width)
-            offset = np.array([[ox, oy]])
-            phase = np.exp(-2j * np.pi * (grid.fx * offset[0, 0] + grid.fy * offset[0, 1]))
-            blur = gauss * passed * phase
+            gauss = shapes.gaussian(f2, p[5] + extra) * flat * np.exp(-2j * np.pi * (grid.fx * ox + grid.fy * oy))
+            blur = gauss * shapes.diffraction(f, width)
             spectra[0, index] = dark * blur
             spectra[1, index] = -2j * np.pi * grid.fx * spectra[0, index]
             spectra[2, index] = -2j * np.pi * grid.fy * spectra[0, index]
             spectra[3:6, index] = by_q * blur
             spectra[6, index] = -2 * np.pi**2 * f2 * spectra[0, index]
-            base = 1 + COMMON + 4 * index
-            spectra[base, index] = spectra[6, index]
-            spectra[base + 1, index] = dark * gauss * phase * shapes.diffraction_slope(f, width)
-            spectra[base + 2, index] = spectra[1, index]
-            spectra[base + 3, index] = spectra[2, index]
+            spectra[7, index] = dark * gauss * shapes.diffraction_slope(f, width)
         images = darkness(shifted(spectra, grid, planes, p[:2]), grid, planes)
-        return images[0], images[1:]
+        slopes = np.zeros((len(p), *images.shape[1:]))
+        slopes[:COMMON] = images[1:7]
+        for index in range(n):
+            base = COMMON + 4 * index
+            slopes[base, index] = images[6, index]
+            slopes[base + 1, index] = images[7, index]
+            slopes[base + 2, index] = images[1, index]
+            slopes[base + 3, index] = images[2, index]
+        return images[0], slopes
 
     return model
 
 
 def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solution, Lens]:
     n, height, width = planes.values.shape
-    margin = 8
-    grid = make_grid((height * planes.period + margin, width * planes.period + margin), oversampling=2)
     c, s = np.cos(dot.angle_rad), np.sin(dot.angle_rad)
     big, small = dot.semi_major_px, dot.semi_minor_px
     q = [big * c * c + small * s * s, (big - small) * c * s, big * s * s + small * c * c]
@@ -169,10 +191,18 @@ def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solut
         variance = noise.variance(signal) + (noise.texture * signal) ** 2
         return np.where(planes.valid, 1 / np.maximum(variance, 1e-12), 0.0)
 
-    solution = solve(planes, weights, dot_model(planes, grid), start, prior, bound=bound, max_iterations=40)
-    own = solution.p[COMMON:].reshape(n, 4)
-    lens = Lens(planes.channel, solution.p[5] + own[:, 0], own[:, 1], own[:, 2:4] - own[:, 2:4].mean(axis=0))
-    return solution, lens
+    size = (height * planes.period + MARGIN_PX, width * planes.period + MARGIN_PX)
+    model = dot_model(planes, make_grid(size))
+    solution = solve(planes, weights, model, start, prior, bound=bound, max_iterations=40)
+    if _lens(planes, solution).sharp:
+        model = dot_model(planes, make_grid(size, oversampling=2))
+        solution = solve(planes, weights, model, solution.p, prior, bound=bound, light=solution.light)
+    return solution, _lens(planes, solution)
+
+
+def _lens(planes: Planes, solution: Solution) -> Lens:
+    own = solution.p[COMMON:].reshape(len(planes.channel), 4)
+    return Lens(planes.channel, solution.p[5] + own[:, 0], own[:, 1], own[:, 2:4] - own[:, 2:4].mean(axis=0))
 
 
 def _relief(planes: Planes, paper: BoolArray, solution: Solution) -> Relief | None:
@@ -204,7 +234,8 @@ def _target(
     form = Ellipse(q, lens, slope @ covariance @ slope.T, relief)
     flags = set()
     axes = np.linalg.eigvalsh(np.array([[q[0], q[1]], [q[1], q[2]]]))
-    contrast = {int(c): float(k) for c, k in zip(planes.channel, solution.light[:, 3], strict=True)}
+    seen = [bool(w.any()) for w in solution.weight]
+    contrast = {int(c): float(k) for c, k, ok in zip(planes.channel, solution.light[:, 3], seen, strict=True) if ok}
     fitted = 0.5 < axes[0] / dot.semi_minor_px < 2 and np.all(np.isfinite(solution.p)) and min(contrast.values()) > 0.02
     if not fitted:
         flags.add(Flag.NOT_FOUND)

@@ -15,6 +15,7 @@ from labdaemon.blur.mosaic import Grid, Planes, interleave
 from labdaemon.blur.pixels import BoolArray, ComplexArray, FloatArray, Patch
 
 NEAR_PX = 2.5  # of paper beyond the smear that is used around a dot with strong relief
+FAINT = 0.012  # rms of relief, relative to the dot's contrast, below which it is grain and better counted as noise
 STRONG = 0.02  # rms of relief, relative to the dot's contrast, that is no longer small
 
 
@@ -137,11 +138,11 @@ def find_relief(
     band = np.minimum((f * 24).astype(int), 12)
     mean = ndimage.mean(power, band, np.arange(13))
     keep = np.clip(1 - floor / np.maximum(mean, 1e-300), 0.0, 1.0)
-    if np.max(keep) < 0.3:
-        return None
     kept = np.real(fft.ifft2(spectrum * keep[band])) * good
-    centre = centre_px - np.asarray(planes.origin_px)
-    return Relief(kept, paper, centre, float(np.sqrt(np.mean(kept[good] ** 2))))
+    rms = float(np.sqrt(np.mean(kept[good] ** 2)))
+    if rms < FAINT:
+        return None
+    return Relief(kept, paper, centre_px - np.asarray(planes.origin_px), rms)
 
 
 def trusted(

@@ -38,6 +38,16 @@ class Lens:
     width_px: FloatArray
     offset_px: FloatArray
 
+    @property
+    def sharp(self) -> bool:
+        """Whether its sharpest channel passes so much at the pixels' Nyquist frequency that finer ones are needed."""
+        at = np.array([0.5])
+        passed = [
+            float(shapes.gaussian(at**2, float(v))[0] * shapes.diffraction(at, float(w))[0])
+            for v, w in zip(self.variance_px2, self.width_px, strict=True)
+        ]
+        return max(passed) > 0.06
+
     def rows(self, channel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Which row belongs to each of `channel`."""
         order = {int(number): row for row, number in enumerate(self.channel)}
@@ -164,13 +174,8 @@ class Ellipse:
 
     @property
     def oversampling(self) -> int:
-        """2 where the sharpest channel passes more than 2 % at the Nyquist frequency."""
-        at = np.array([0.5])
-        passed = [
-            float(shapes.gaussian(at**2, float(v))[0] * shapes.diffraction(at, float(w))[0])
-            for v, w in zip(self.lens.variance_px2, self.lens.width_px, strict=True)
-        ]
-        return 2 if max(passed) > 0.06 else 1
+        """2 for a lens that is sharper than the pixels."""
+        return 2 if self.lens.sharp else 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
