@@ -23,7 +23,7 @@ from labdaemon.report.overlay import overlay_path, write_overlay
 Box = tuple[int, int, int, int]
 
 
-class PatchBox(click.ParamType):
+class PatchBox(click.ParamType):  # type: ignore[type-arg,unused-ignore]
     """X,Y,W,H in whole pixels."""
 
     name = "X,Y,W,H"

@@ -20,21 +20,22 @@ from labdaemon.report.overlay import write_overlays
 
 @click.command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Where to write; FOLDER/results if not given.")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Where to write; FOLDER/results if not given."
+)
 @click.option("--workers", type=click.IntRange(min=0), default=0, help="Worker processes; 0 for one a core.")
 @click.option("--method", type=click.Choice(["fit", "paper"]), help="The rig file's, or fit, if not given.")
 @click.option("--overlay/--no-overlay", default=True, help="Draw the vectors on each frame.")
 def process(folder: Path, out: Path | None, workers: int, method: str | None, overlay: bool) -> None:
     """Measure all captures of a data-set FOLDER: measurements.csv in pixels, envelope.csv in millimetres, pictures."""
     console = Console(stderr=True)
-    with WorkerPool(workers) as pool:
-        with Parts(console) as parts:
-            result = process_folder(folder, out, pool=pool, method=method, progress=parts)
-            if overlay:
-                tasks = write_overlays(folder, result, pool.submit)
-                for done, task in enumerate(tasks, start=1):
-                    task.result()
-                    parts("pictures", done, len(tasks))
+    with WorkerPool(workers) as pool, Parts(console) as parts:
+        result = process_folder(folder, out, pool=pool, method=method, progress=parts)
+        if overlay:
+            tasks = write_overlays(folder, result, pool.submit)
+            for done, task in enumerate(tasks, start=1):
+                task.result()
+                parts("pictures", done, len(tasks))
     _summary(result, console)
 
 

@@ -161,7 +161,11 @@ class _Sizes:
 def _excess(cameras: Sequence[SeenDots], track: Track) -> float:
     """Logarithm of a track's true radius, mm, by its apparent sizes and its distances."""
     values = [
-        np.log(camera.radius_px[dot] * camera.view.in_camera(track.place_mm[None])[0, 2] / np.mean(camera.view.lens.focal_px))
+        np.log(
+            camera.radius_px[dot]
+            * camera.view.in_camera(track.place_mm[None])[0, 2]
+            / np.mean(camera.view.lens.focal_px)
+        )
         for camera, dot in zip(cameras, track.dots, strict=True)
         if dot >= 0
     ]
@@ -204,16 +208,16 @@ def _widened(cameras: Sequence[SeenDots], pair: _Candidate, sizes: _Sizes) -> _C
             dots[c] = int(np.argmin(distance))
     if tuple(dots) == pair.dots:
         return None
-    pixels = np.stack([[cam.centres_px[d] if d >= 0 else (np.nan, np.nan)] for cam, d in zip(cameras, dots, strict=True)])
+    pixels = np.stack(
+        [[cam.centres_px[d] if d >= 0 else (np.nan, np.nan)] for cam, d in zip(cameras, dots, strict=True)]
+    )
     place = meet([camera.view for camera in cameras], pixels)
     cost = float(_cost(cameras, np.array([dots]), place, sizes)[0])
     allowed = GATE * (sum(dot >= 0 for dot in dots) - 1)
     return _Candidate(tuple(dots), place[0], cost) if cost < allowed else None
 
 
-def _cost(
-    cameras: Sequence[SeenDots], dots: NDArray[np.intp], place: FloatArray, sizes: _Sizes
-) -> FloatArray:
+def _cost(cameras: Sequence[SeenDots], dots: NDArray[np.intp], place: FloatArray, sizes: _Sizes) -> FloatArray:
     """(n,) squared normalised discrepancies of rays and sizes; inf behind a camera."""
     total = np.zeros(len(dots))
     excess = np.full((len(dots), len(cameras)), np.nan)
@@ -274,8 +278,15 @@ def _solve(knot: list[_Candidate]) -> list[Track]:
         upper = np.ones(len(knot))
         if without is not None:
             upper[without] = 0.0
-        result = milp(-gain, integrality=np.ones(len(knot)), bounds=Bounds(0, upper), constraints=LinearConstraint(uses, ub=1))
-        return -float(result.fun), result.x > 0.5
+        result = milp(
+            -gain,
+            integrality=np.ones(len(knot), dtype=np.int64),
+            bounds=Bounds(0, upper),
+            constraints=LinearConstraint(uses, ub=1),
+        )
+        if result.x is None or result.fun is None:  # the empty choice is always allowed, so this is a time limit
+            return 0.0, np.zeros(len(knot), dtype=np.bool_)
+        return -float(result.fun), np.asarray(result.x > 0.5)
 
     total, chosen = best(None)
     tracks = []

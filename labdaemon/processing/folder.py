@@ -125,7 +125,9 @@ class DataFolder:
         where = self.root / "captures" / _plain(name, "capture", self.root)
         if not where.is_dir():
             raise DataError("no such capture", file=where)
-        frames = {camera: files[0] for camera, files in _frames_in(where, tuple(self.rig.cameras), several=False).items()}
+        frames = {
+            camera: files[0] for camera, files in _frames_in(where, tuple(self.rig.cameras), several=False).items()
+        }
         missing = [camera for camera in self.rig.cameras if camera not in frames]
         if missing:
             raise DataError(f"no frame of camera {missing[0]}", file=where)

@@ -92,11 +92,22 @@ def measure_frames(
     DataError
         A frame cannot be read, has another size, or cannot be from this camera.
     """
-    looks = [_look(camera, file) for file in files]
-    motions = tuple(_camera_motion(camera, look, control, file) for look, file in zip(looks, files, strict=True))
-    if method == "paper":
-        found = [_by_paper(camera, looks[0], i) for i in range(len(camera.targets))]
-    elif len(files) == 1:
+    frames = [read_frame(file, expect_size=camera.image_size) for file in files]
+    return measure_raw(camera, frames, windows, control=control, method=method)
+
+
+def measure_raw(
+    camera: PreparedCamera,
+    frames: Sequence[RawFrame],
+    windows: Sequence[Window | None],
+    *,
+    control: Sequence[ControlPoint] = (),
+    method: str = "fit",
+) -> FrameResult:
+    """Measure frames that are already read; otherwise as `measure_frames`."""
+    looks = [_look(camera, frame) for frame in frames]
+    motions = tuple(_camera_motion(camera, look, control) for look in looks)
+    if len(frames) == 1:
         found = _measure_one(camera, looks[0], windows[0])
     else:
         found = [_measure_together(camera, looks, windows, i) for i in range(len(camera.targets))]
@@ -110,8 +121,7 @@ def measure_frames(
     )
 
 
-def _look(camera: PreparedCamera, file: Path) -> _Look:
-    frame = read_frame(file, expect_size=camera.image_size)
+def _look(camera: PreparedCamera, frame: RawFrame) -> _Look:
     grey = frame.grey()
     shift = frame_shift(frame, grey, camera.control)
     if camera.thumbnails:
@@ -125,9 +135,7 @@ def _look(camera: PreparedCamera, file: Path) -> _Look:
     return _Look(frame, shift, find_again(grey, sought))
 
 
-def _camera_motion(
-    camera: PreparedCamera, look: _Look, control: Sequence[ControlPoint], file: Path
-) -> CameraMotion | None:
+def _camera_motion(camera: PreparedCamera, look: _Look, control: Sequence[ControlPoint]) -> CameraMotion | None:
     """How the camera stood in this frame."""
     if camera.orientation is None:
         return None
@@ -148,7 +156,7 @@ def _camera_motion(
             sd_px=np.array(sd),
         )
     except DataError as exc:
-        raise DataError(str(exc), file=file) from None
+        raise DataError(str(exc), file=look.frame.path) from None
 
 
 def _moved(shift: FrameShift) -> bool:
@@ -198,11 +206,4 @@ def _measure_together(
         starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
         blurs.append(look.shift.extra_blur)
     shared = [blur for blur in blurs if blur is not None]
-    return measure_group(
-        target, cuts, known, extra_blur=shared if len(shared) == len(blurs) else None, starts=starts
-    )
-
-
-def _by_paper(camera: PreparedCamera, look: _Look, index: int) -> Measurement:
-    """The published method on one target."""
-    raise NotImplementedError
+    return measure_group(target, cuts, known, extra_blur=shared if len(shared) == len(blurs) else None, starts=starts)

@@ -124,7 +124,7 @@ class WorkerPool:
             Its result, or the exception it raised; `DataError` if it took its worker with it, or overran its
             deadline, twice.
         """
-        return self._waiters.submit(self._run, function, *args, **kwargs)
+        return self._waiters.submit(lambda: self._run(function, *args, **kwargs))
 
     def close(self) -> None:
         """Kill the workers and wait for the waiting threads."""

@@ -166,7 +166,9 @@ def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, 
     targets = []
     for number, (x, y, w, h) in enumerate(boxes, start=1):
         if x < 0 or y < 0 or x + w > width or y + h > height:
-            raise DataError(f"patch {x},{y},{w},{h} does not lie inside the frame of {width}x{height} px", file=files[0])
+            raise DataError(
+                f"patch {x},{y},{w},{h} does not lie inside the frame of {width}x{height} px", file=files[0]
+            )
         # What lies beside the box is smeared into it.
         reach = max(16, min(64, max(w, h) // 2))
         x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
@@ -174,7 +176,9 @@ def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, 
         targets.append(sharp_texture(cuts, (x, y, w, h), name=f"P{number:02d}"))
     grey = frame.grey()
     thumbnails = tuple(Thumbnail.cut(grey, box) for box in boxes)
-    return PreparedCamera("", Path(files[0]), frame.size, tuple(targets), (), ControlTargets(TAG_FAMILY), thumbnails=thumbnails)
+    return PreparedCamera(
+        "", Path(files[0]), frame.size, tuple(targets), (), ControlTargets(TAG_FAMILY), thumbnails=thumbnails
+    )
 
 
 def _enough(control: ControlTargets, survey: CameraSurvey, file: Path) -> None:
@@ -182,7 +186,7 @@ def _enough(control: ControlTargets, survey: CameraSurvey, file: Path) -> None:
         return
     seen = f" ({', '.join(control.names)})" if control.names else ""
     raise DataError(
-        f"{len(control.names)} of the {len(survey.control)} control targets of control.csv found in this sharp frame{seen}, "
+        f"{len(control.names)} of the {len(survey.control)} control targets of control.csv found in this frame{seen}, "
         f"at least {LEAST_CONTROL} are needed: check light, focus, [control] family and names",
         file=file,
     )

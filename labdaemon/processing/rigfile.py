@@ -83,7 +83,9 @@ def refuse_misspelt(table: Mapping[str, Any], known: frozenset[str], path: Path,
     for name in table:
         if name in known:
             continue
-        near = [other for other in difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.85) if other not in table]
+        near = [
+            other for other in difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.85) if other not in table
+        ]
         if near:
             raise ConfigError(f"unknown key; did you mean {near[0]}?", source=path, key=f"{key}{name}")
 
@@ -132,5 +134,7 @@ def read_rig(path: Path) -> RigFile:
     if rig.control.size_mm < 1.0:
         raise ConfigError(f"{rig.control.size_mm} mm looks like metres", source=path, key="control.size_mm")
     if min(rig.targets.diameter_mm) < 0.2:
-        raise ConfigError(f"{min(rig.targets.diameter_mm)} mm looks like metres", source=path, key="targets.diameter_mm")
+        raise ConfigError(
+            f"{min(rig.targets.diameter_mm)} mm looks like metres", source=path, key="targets.diameter_mm"
+        )
     return rig

@@ -128,7 +128,9 @@ def process_folder(
 
 def _prepare(folder: DataFolder, todo: Sequence[Job], pool: WorkerPool, tell: Progress) -> dict[str, SharpSet]:
     files = [folder.sharp(name or None) for name in dict.fromkeys(job.sharp or "" for job in todo)]
-    tasks = [(one, camera, pool.submit(prepare_in_folder, folder, one, camera)) for one in files for camera in one.frames]
+    tasks = [
+        (one, camera, pool.submit(prepare_in_folder, folder, one, camera)) for one in files for camera in one.frames
+    ]
     _wait([task for *_, task in tasks], "sharp frames", tell)
     sets: dict[str, SharpSet] = {}
     for one in files:
@@ -151,9 +153,7 @@ def _measure(
     ]
     _wait([task for one in tasks for task in one], "blurred frames", tell)
     joins = [
-        pool.submit(
-            join_frames, folder, sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name
-        )
+        pool.submit(join_frames, folder, sets[job.sharp or ""], [task.result() for task in one], job.captures, job.name)
         for job, one in zip(todo, tasks, strict=True)
     ]
     _wait(joins, "envelopes", tell)

@@ -202,7 +202,10 @@ def assign(places: FloatArray, centres: FloatArray, weight: FloatArray, *, least
         (n,) index of each target's smear, −1 for none. No smear is given twice.
     """
     count = len(places)
-    spacing = float(np.median(KDTree(places).query(places, k=2)[0][:, 1])) if count > 1 else 20 * least_px
+    spacing = 20 * least_px
+    if count > 1:
+        apart = np.asarray(KDTree(places).query(places, k=2)[0])
+        spacing = float(np.median(apart[:, 1]))
     tolerance = max(least_px, 0.15 * spacing)
     distance = np.hypot(*(centres[None] - places[:, None]).transpose(2, 0, 1))
     attractive = weight * np.exp(-distance / (4 * spacing))

@@ -78,9 +78,7 @@ def camera_survey(folder: DataFolder, camera: str) -> CameraSurvey:
 
 def prepare_in_folder(folder: DataFolder, files: SharpFiles, camera: str) -> PreparedCamera:
     """Prepare one camera of a folder's sharp set; one task for a worker."""
-    return prepare_camera(
-        camera, files.frames[camera], at_rest=files.at_rest, survey=camera_survey(folder, camera)
-    )
+    return prepare_camera(camera, files.frames[camera], at_rest=files.at_rest, survey=camera_survey(folder, camera))
 
 
 def assemble(
@@ -135,9 +133,7 @@ def assemble(
     notes += _left_over(prepared, dots)
     if not names:
         names = (
-            names_in_space(places)
-            if like is None
-            else names_like(places, like.places_mm, like.targets, SAME_PLACE_MM)
+            names_in_space(places) if like is None else names_like(places, like.places_mm, like.targets, SAME_PLACE_MM)
         )
     order = np.argsort(names, kind="stable") if not folder.targets else np.arange(len(names))
     dots, places, sure, names = dots[order], places[order], sure[order], [names[i] for i in order]
@@ -232,5 +228,7 @@ def _left_over(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp]) -> li
         if alone:
             where = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in camera.centres_px[alone[:5]])
             more = " …" if len(alone) > 5 else ""
-            notes.append(f"{camera.name}: {len(alone)} dot(s) not used, no partner or not a target's size: {where}{more}")
+            notes.append(
+                f"{camera.name}: {len(alone)} dot(s) not used, no partner or not a target's size: {where}{more}"
+            )
     return notes

@@ -119,7 +119,7 @@ def best_smear(
     x, y = (np.asarray(expected_px) - (scale - 1) / 2) / scale
     reach = max(1, round(reach_px / scale))
     cx, cy = round(x), round(y)
-    best: tuple[float, Filter, int, int, Picture] | None = None
+    best: tuple[float, Filter, int, int] | None = None
     for shape in shapes:
         h, w = shape.picture.shape
         x0, y0 = max(cx - reach - w // 2, 0), max(cy - reach - h // 2, 0)
@@ -130,10 +130,10 @@ def best_smear(
         likeness = -cv2.matchTemplate(window, shape.picture, cv2.TM_CCOEFF_NORMED)
         row, column = divmod(int(np.argmax(likeness)), likeness.shape[1])
         if best is None or likeness[row, column] > best[0]:
-            best = float(likeness[row, column]), shape, x0 + column, y0 + row, likeness
+            best = float(likeness[row, column]), shape, x0 + column, y0 + row
     if best is None:
         return None
-    score, shape, left, top, likeness = best
+    score, shape, left, top = best
     h, w = shape.picture.shape
     centre = np.array([left + w // 2, top + h // 2], dtype=float)
     return Smear(

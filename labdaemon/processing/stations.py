@@ -95,5 +95,7 @@ def _control(camera: PreparedCamera) -> list[Sighting]:
     control = camera.control
     return [
         Sighting(name, float(x), float(y), float(sd), float(side))
-        for name, (x, y), sd, side in zip(control.names, control.centres_px, control.sd_px, control.side_px, strict=True)
+        for name, (x, y), sd, side in zip(
+            control.names, control.centres_px, control.sd_px, control.side_px, strict=True
+        )
     ]

@@ -79,7 +79,9 @@ def read_control(path: Path, size_mm: float) -> tuple[ControlPoint, ...]:
     DataError
         The file is missing or malformed, has fewer than four points, a negative uncertainty, or is in metres.
     """
-    points = tuple(ControlPoint(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm", "sd_mm")))
+    points = tuple(
+        ControlPoint(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm", "sd_mm"))
+    )
     if len(points) < 4:
         raise DataError(f"{len(points)} control targets; at least 4 are needed", file=path)
     for point in points:
@@ -93,7 +95,7 @@ def read_control(path: Path, size_mm: float) -> tuple[ControlPoint, ...]:
         extent = max(abs(value) for p in points for value in (p.x_mm, p.y_mm, p.z_mm))
         hint = "; are the coordinates metres?" if extent < 20 * size_mm else ""
         raise DataError(
-            f"{closest[1]} and {closest[2]} are {closest[0]:.3g} mm apart but the targets are {size_mm:g} mm wide{hint}",
+            f"{closest[1]} and {closest[2]} are {closest[0]:.3g} mm apart, the targets {size_mm:g} mm wide{hint}",
             file=path,
         )
     return points

@@ -17,7 +17,7 @@ from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.motion import ObjectMotion
 
-Value: TypeAlias = str | float | None | list[str]
+Value: TypeAlias = str | float | list[str] | None
 Row: TypeAlias = dict[str, Value]
 """A row by column: numbers as floats rounded as the file has them, None where empty, `flags` as a list.
 JSON-able."""

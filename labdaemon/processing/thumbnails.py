@@ -1,4 +1,4 @@
-"""Find a small picture again in a later frame, to a pixel or so: control targets that shifted, patches of any texture."""
+"""Find a small picture again in a later frame, to a pixel or so: a control target that shifted, a patch of any kind."""
 
 from __future__ import annotations
 

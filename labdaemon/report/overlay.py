@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -30,6 +31,7 @@ CLEAN: Colour = (60, 220, 90)
 FLAGGED: Colour = (40, 170, 255)
 RESTING: Colour = (230, 190, 70)
 LOST: Colour = (60, 60, 255)
+COLOURS = {"clean": CLEAN, "at rest": RESTING, "flagged": FLAGGED, "not measured": LOST}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -61,8 +63,7 @@ def draw_overlay(
         centre = _pair(row, "x_px", "y_px")
         if centre is None:
             continue
-        flags = cast(list[str], row["flags"])
-        colour = RESTING if flags == ["at_rest"] else FLAGGED if flags else CLEAN
+        colour = COLOURS[_kind(row)]
         a, b = _pair(row, "ax_px", "ay_px"), _pair(row, "bx_px", "by_px")
         at = (centre + 0.5) * scale - 0.5
         if a is None:
@@ -119,13 +120,24 @@ def write_overlays(folder: Path, result: FolderResult, submit: Callable[..., Fut
     """
     tasks = []
     for capture in result.captures:
-        lengths = {str(row["target"]): length for row in capture.envelope_rows if (length := _length_mm(row)) is not None}
+        lengths = {
+            str(row["target"]): length for row in capture.envelope_rows if (length := _length_mm(row)) is not None
+        }
         for camera, frame in capture.frames:
             rows = [row for row in capture.measurement_rows if row["camera"] == camera]
             title = f"{capture.name}  {camera}"
             out = overlay_path(result.out, capture.name, camera)
             tasks.append(submit(write_overlay, folder / frame, rows, out, title, lengths))
     return tasks
+
+
+def _kind(row: Row) -> str:
+    """Which of the colours' names a row goes under."""
+    if row["ax_px"] is None:
+        return "not measured"
+    if row["flags"] == ["at_rest"]:
+        return "at rest"
+    return "flagged" if row["flags"] else "clean"
 
 
 def _length_mm(row: Row) -> float | None:
@@ -175,25 +187,25 @@ def _thick(unit: float) -> int:
     return max(1, round(1.4 * unit))
 
 
-def _write(picture: Image, text: str, at: NDArray[np.float64], size: float, colour: Colour = (255, 255, 255)) -> None:
-    for width, ink in ((3, (0, 0, 0)), (1, colour)):
-        cv2.putText(picture, text, _point(at), _FONT, max(size, 0.35), ink, width, cv2.LINE_AA)
+def _write(picture: Image, text: str, at: NDArray[np.float64], size: float, colour: Colour = (255, 255, 255)) -> int:
+    """Write on a darkened patch of the picture; return the width taken, px."""
+    size = max(size, 0.35)
+    (width, height), below = cv2.getTextSize(text, _FONT, size, 1)
+    x, y = _point(at)
+    patch = picture[max(y - height - 2, 0) : max(y + below, 0), max(x - 2, 0) : max(x + width + 2, 0)]
+    patch //= 3
+    cv2.putText(picture, text, (x, y), _FONT, size, colour, 1, cv2.LINE_AA)
+    return int(width)
 
 
 def _caption(picture: Image, title: str, rows: Sequence[Row], unit: float, *, has_mm: bool) -> None:
-    """Title and legend on a band of their own along the top."""
+    """Title, and what the colours mean with how many there are of each, on a band of their own along the top."""
     band = round(46 * unit)
     picture[:band] = picture[:band] // 4
     amplitude = "semi-amplitude in mm" if has_mm else "semi-amplitude in px"
     _write(picture, f"{title}   vectors x {MAGNIFICATION:.0f}, {amplitude}", np.array([10, 18]) * unit, 0.55 * unit)
-    x = 10.0
-    lost = sum(row["x_px"] is None for row in rows)
-    for text, colour in (
-        ("clean", CLEAN),
-        ("at rest", RESTING),
-        ("flagged", FLAGGED),
-        (f"{lost} not measured", LOST),
-    ):
-        _write(picture, text, np.array([x, 38]) * unit, 0.5 * unit, colour)
-        x += 22 + 10.0 * len(text)
-
+    counts = Counter(_kind(row) for row in rows)
+    x = 10.0 * unit
+    for kind, colour in COLOURS.items():
+        if counts[kind]:
+            x += _write(picture, f"{counts[kind]} {kind}", np.array([x, 38 * unit]), 0.5 * unit, colour) + 24 * unit
