@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdrivers.sim.label import Path, View, follow, smear_target
 from labdrivers.sim.lens import Camera, FloatArray, Shift
 from labdrivers.sim.optics import Optics
+from labdrivers.sim.path import Path, View, follow
 from labdrivers.sim.scene import Scene, Target
+from labdrivers.sim.smear import smear_target
 from labdrivers.sim.window import Window, develop, dwell_map
 
 FOCAL = 3934.4

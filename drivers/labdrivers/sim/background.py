@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdrivers.sim.label import View, moments
 from labdrivers.sim.lens import FloatArray
+from labdrivers.sim.path import View, moments
 from labdrivers.sim.scene import Panel, Scene
 from labdrivers.sim.sensor import FloatImage
 

@@ -1,8 +1,8 @@
 """Renders a frame as a camera would have taken it: from the motion itself, over the shutter's own window.
 
 Nothing here is shared with the measurement: no law of dwell times is assumed for any motion. Each dot is drawn by the
-area that it covers and added up over thousands of moments, each sent through the lens (see `label` and `window`);
-then come diffraction for each colour, the light, the mosaic, and the noise (see `optics`, `sensor`).
+area that it covers and added up over thousands of moments, each sent through the lens (see `card`, `smear`,
+`window`); then come diffraction for each colour, the light, the mosaic, and the noise (see `optics`, `sensor`).
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import cv2
 import numpy as np
 
 from labdrivers.sim.background import HALF, backdrop
-from labdrivers.sim.label import Path, Smear, View, follow, smear_tag, smear_target
 from labdrivers.sim.lens import Camera, FloatArray, Shift
 from labdrivers.sim.optics import Optics
+from labdrivers.sim.path import Path, View, follow
 from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
 from labdrivers.sim.sensor import FloatImage, Sensor
+from labdrivers.sim.smear import Smear, smear_tag, smear_target
 from labdrivers.sim.window import FINE, Window, develop
 
 Motion = Callable[[FloatArray], FloatArray]

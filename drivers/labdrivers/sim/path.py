@@ -1,0 +1,64 @@
+"""What a camera saw of a motion: where it stood for a frame, and where something was at many moments of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labdrivers.sim.lens import Camera, FloatArray, Shift
+
+STEP_PX = 0.05
+"""Moments of the exposure lie no farther apart than this along the path."""
+
+MIN_MOMENTS, MAX_MOMENTS = 512, 60_000
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A camera as it stood for one frame."""
+
+    camera: Camera
+    shift: Shift
+
+    def project(self, points_mm: FloatArray) -> FloatArray:
+        """Image points (n, 2) of object points (n, 3)."""
+        return self.shift.apply(self.camera.project(points_mm), self.camera.image_size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Where something was at many equally long moments of the exposure.
+
+    Attributes
+    ----------
+    times_s
+        (n,) middles of the moments.
+    displacement_mm
+        (n, 3) from rest.
+    """
+
+    times_s: FloatArray
+    displacement_mm: FloatArray
+
+
+def moments(opened_s: float, exposure_s: float, count: int) -> FloatArray:
+    """Middles of `count` equal parts of the exposure."""
+    return opened_s + (np.arange(count) + 0.5) / count * exposure_s
+
+
+def follow(
+    view: View, rest_mm: FloatArray, motion: Callable[[FloatArray], FloatArray], window_s: tuple[float, float]
+) -> Path:
+    """Sample a motion so finely that its image moves less than `STEP_PX` from one moment to the next."""
+    times = moments(*window_s, MIN_MOMENTS)
+    displacement = np.asarray(motion(times), float)
+    image = view.project(rest_mm + displacement)
+    length = float(np.linalg.norm(np.diff(image, axis=0), axis=1).sum())
+    # the first, coarse sampling may cut corners: hence the margin
+    count = int(np.clip(1.5 * length / STEP_PX, MIN_MOMENTS, MAX_MOMENTS))
+    if count > MIN_MOMENTS:
+        times = moments(*window_s, count)
+        displacement = np.asarray(motion(times), float)
+    return Path(times, displacement)
