@@ -15,7 +15,7 @@ SIZES = {"small": ((1936, 1296), 12.2), "d80": ((3900, 2613), 6.1)}
 
 FOCAL_MM = 24.0
 DISTORTION = (-0.09, 0.07, 0.0003, -0.0002, 0.0)
-FIELD_X_MM, FIELD_Z_MM = 560.0, 470.0
+FIELD_X_MM, FIELD_Z_MM = 600.0, 470.0
 MIDDLE_Z_MM = 365.0
 CAMERA_NAMES = {1: ("front",), 2: ("left", "right"), 3: ("left", "right", "top")}
 
