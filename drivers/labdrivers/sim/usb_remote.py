@@ -1,4 +1,4 @@
-"""The simulated USB bus of another process: pyusb's backend here, the cameras there, one connection a thread.
+"""The simulated USB bus of another process: pyusb's backend here, the cameras there, a connection for each call.
 
 A host process that dies is a host that let go: all it had open and claimed is given back.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import socket
 import threading
+import weakref
 from contextlib import suppress
 from typing import Any
 
@@ -29,10 +30,13 @@ class RemoteBus:
 
     def __init__(self, url: str) -> None:
         self._url = url
-        self._own = threading.local()
-        self._lifeline: socket.socket | None = None
+        self._free: list[socket.socket] = []
+        self._lifeline: list[socket.socket] = []
+        """At most one: while it is open the simulator knows that this host lives."""
         self._host: str | None = None
         self._lock = threading.Lock()
+        weakref.finalize(self, _close_all, self._free)
+        weakref.finalize(self, _close_all, self._lifeline)
 
     def devices(self) -> list[PluggedIn]:
         """Everything plugged in; nothing, when the simulator is gone."""
@@ -77,39 +81,45 @@ class RemoteBus:
         self._ask({"do": "clear_halt", "handle": handle, "endpoint": endpoint})
 
     def _ask(self, head: dict[str, Any], data: bytes = b"", *, timeout_s: float = 0.0) -> tuple[dict[str, Any], bytes]:
+        peer: socket.socket | None = None
         try:
-            peer = self._connection()
+            peer = self._take()
             peer.settimeout(timeout_s + SLACK_S)
             messages.send(peer, {**head, "host": self._host}, data)
             answer, payload = messages.receive(peer)
         except (OSError, EOFError, ValueError) as exc:
-            self._drop()
+            self._drop(peer)
             raise UsbFault(errno.ENODEV, f"simulator at {self._url} is gone ({exc})") from exc
+        with self._lock:
+            self._free.append(peer)
         if "errno" in answer:
             raise UsbFault(int(answer["errno"]), str(answer["text"]))
         return answer, payload
 
-    def _connection(self) -> socket.socket:
+    def _take(self) -> socket.socket:
         with self._lock:
-            if self._lifeline is None:
-                self._lifeline = messages.connect(self._url)
-                messages.send(self._lifeline, {"do": "hello"})
-                self._host = str(messages.receive(self._lifeline)[0]["host"])
-                self._own = threading.local()
-        peer: socket.socket | None = getattr(self._own, "peer", None)
-        if peer is None:
-            peer = messages.connect(self._url)
-            self._own.peer = peer
-        return peer
+            if not self._lifeline:
+                lifeline = messages.connect(self._url)
+                self._lifeline.append(lifeline)
+                messages.send(lifeline, {"do": "hello"})
+                self._host = str(messages.receive(lifeline)[0]["host"])
+            if self._free:
+                return self._free.pop()
+        return messages.connect(self._url)
 
-    def _drop(self) -> None:
+    def _drop(self, peer: socket.socket | None) -> None:
+        if peer is not None:
+            peer.close()
         with self._lock:
-            for peer in (getattr(self._own, "peer", None), self._lifeline):
-                if peer is not None:
-                    with suppress(OSError):
-                        peer.close()
-            self._own = threading.local()
-            self._lifeline = self._host = None
+            _close_all(self._free)
+            _close_all(self._lifeline)
+
+
+def _close_all(sockets: list[socket.socket]) -> None:
+    for peer in sockets:
+        with suppress(OSError):
+            peer.close()
+    sockets.clear()
 
 
 class BusServer:
