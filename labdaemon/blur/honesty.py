@@ -22,7 +22,7 @@ def honest_covariance(sharp: SharpTarget, solution: Solution, planes: Planes) ->
     Where the residuals are as white and as small as the noise model says, it is the inverse normal matrix. Otherwise
     their power spectrum, by bands of spatial frequency, is carried through the fit.
     """
-    if sharp.noise_known and solution.chi2 < 1.1:
+    if sharp.noise_known and (solution.chi2 < 1.1 or (solution.correlated and solution.chi2 < POOR_CHI2)):
         return solution.covariance * max(solution.chi2, 1.0)
     root = np.sqrt(solution.weight)
     gain = interleave(planes, np.where(root > 0, solution.gain / np.maximum(root, 1e-300), 0.0))

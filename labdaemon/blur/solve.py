@@ -60,6 +60,8 @@ class Solution:
         (n, 4, k) how each lattice's light follows the parameters (its negative, that is).
     gain
         (k, n, h, w) change of the parameters by a change of each pixel, DN⁻¹; carries any other error through.
+    correlated
+        Whether the covariance already accounts for noise that neighbours share.
     """
 
     p: FloatArray
@@ -74,6 +76,7 @@ class Solution:
     prior_part: FloatArray
     light_part: FloatArray
     gain: FloatArray
+    correlated: bool = False
 
     @property
     def chi2(self) -> float:

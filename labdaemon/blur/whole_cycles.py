@@ -6,6 +6,7 @@ import numpy as np
 
 from labdaemon.blur import shapes
 from labdaemon.blur.axes import moment_axes, moment_matrix, positive, principal
+from labdaemon.blur.gls import weigh_grain
 from labdaemon.blur.honesty import REST_SIGMAS, honest_covariance, reach_flags
 from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
@@ -105,6 +106,7 @@ def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: li
         # The prior must be weighed against the noise as it is found.
         weights = pixel_weights(sharp, setting.planes, noise_scale(sharp, best))
         best = solve(setting.planes, weights, model, best.p, prior, bound=bound, light=best.light)
+    best = weigh_grain(sharp, setting, best, model, shapes.orbit, prior)
     return without_template_noise(sharp, setting, best, shapes.orbit)
 
 
@@ -112,14 +114,10 @@ def _fit_straight(
     sharp: SharpTarget, setting: Setting, blur: ExtraBlur, free: Solution, a: FloatArray, scale: float
 ) -> Solution:
     k = len(setting.by_shape)
-    best = solve(
-        setting.planes,
-        pixel_weights(sharp, setting.planes, scale),
-        blurred_model(setting, shapes.straight),
-        np.concatenate((free.p[: 3 + k], a)),
-        nuisance_prior(sharp, blur, 2),
-        light=free.light,
-    )
+    model, prior = blurred_model(setting, shapes.straight), nuisance_prior(sharp, blur, 2)
+    start = np.concatenate((free.p[: 3 + k], a))
+    best = solve(setting.planes, pixel_weights(sharp, setting.planes, scale), model, start, prior, light=free.light)
+    best = weigh_grain(sharp, setting, best, model, shapes.straight, prior)
     return without_template_noise(sharp, setting, best, shapes.straight)
 
 
