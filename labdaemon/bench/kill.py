@@ -88,15 +88,18 @@ class Victim:
         A running simulated rig.
     folder
         For config, data and ledger.
+    gauges
+        Whether the daemon is told of the rig's gauges; without them settling is a fixed wait.
     """
 
-    def __init__(self, rig: Any, folder: Path) -> None:
+    def __init__(self, rig: Any, folder: Path, *, gauges: bool = False) -> None:
         self.rig, self.folder, self.data = rig, folder, folder / "data"
         self.commands = f"tcp://127.0.0.1:{_free_port()}"
         self.config = rig.write_files(
             folder, events=f"tcp://127.0.0.1:{_free_port()}", commands=self.commands, data=str(self.data)
         )
-        self.config.write_text(without_gauges(self.config.read_text()) + "\n[processing]\nworkers = 1\n")
+        text = self.config.read_text() if gauges else without_gauges(self.config.read_text())
+        self.config.write_text(text + "\n[processing]\nworkers = 1\n")
         self.process: subprocess.Popen[str]
 
     def start(self, transition: str = "") -> float | None:
