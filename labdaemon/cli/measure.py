@@ -71,7 +71,7 @@ def measure(
     console = Console(stderr=True)
     with Parts(console) as parts:
         parts("sharp frames", 0, 1)
-        camera = prepare_patches(sharp, patches) if patches else _dots(sharp)
+        camera = prepare_patches(sharp, patches) if patches else _dots(sharp, method)
         parts("sharp frames", 1, 1)
         rows: list[Row] = []
         for done, path in enumerate(blurred, start=1):
@@ -97,8 +97,8 @@ def _window(frequency: float | None, exposure: float | None, phase: float | None
     return Window(frequency, exposure, phase)
 
 
-def _dots(sharp: tuple[Path, ...]) -> PreparedCamera:
-    camera = prepare_camera("", sharp)
+def _dots(sharp: tuple[Path, ...], method: str) -> PreparedCamera:
+    camera = prepare_camera("", sharp, keep_dots=method == "paper")
     names = names_in_picture(camera.centres_px)
     order = sorted(range(len(names)), key=names.__getitem__)
     return camera.renamed(order, [names[i] for i in order])

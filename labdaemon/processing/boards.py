@@ -41,7 +41,7 @@ class Charuco:
     columns: int
     rows: int
     marker: float = 0.75
-    family: str = "4x4-100"
+    family: str = "aruco-4x4-100"
 
     @classmethod
     def parse(cls, text: str, marker: float, family: str) -> Charuco:

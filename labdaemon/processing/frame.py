@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from labdaemon.blur import Measurement, Patch, SharpTarget, Start, Window, measure_frame, measure_group
-from labdaemon.errors import DataError
+from labdaemon.blur.paper import measure_paper
+from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
 from labdaemon.imaging.frame import RawFrame
@@ -107,7 +108,9 @@ def measure_raw(
     """Measure frames that are already read; otherwise as `measure_frames`."""
     looks = [_look(camera, frame) for frame in frames]
     motions = tuple(_camera_motion(camera, look, control) for look in looks)
-    if len(frames) == 1:
+    if method == "paper":
+        found = _by_paper(camera, looks)
+    elif len(frames) == 1:
         found = _measure_one(camera, looks[0], windows[0])
     else:
         found = [_measure_together(camera, looks, windows, i) for i in range(len(camera.targets))]
@@ -207,3 +210,20 @@ def _measure_together(
         blurs.append(look.shift.extra_blur)
     shared = [blur for blur in blurs if blur is not None]
     return measure_group(target, cuts, known, extra_blur=shared if len(shared) == len(blurs) else None, starts=starts)
+
+
+def _by_paper(camera: PreparedCamera, looks: Sequence[_Look]) -> list[Measurement]:
+    """The published method on every dot of a frame."""
+    if len(looks) > 1:
+        raise UsageError("the published method knows no phase; take the group out of capture.toml, or method fit")
+    if len(camera.dots) < len(camera.targets):
+        raise UsageError("the published method measures dots; leave the patches out, or take method fit")
+    found = []
+    for target, (dot, sharp), smear in zip(camera.targets, camera.dots, looks[0].smears, strict=True):
+        if smear is None:
+            found.append(nothing(target))
+            continue
+        blurred = _cut(looks[0].frame, target, smear)
+        named = replace(dot, name=target.name)
+        found.append(measure_paper(sharp, named, blurred, start_px=smear.centre_px))
+    return found

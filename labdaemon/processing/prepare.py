@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Dot, SharpTarget, fit_sharp, sharp_texture
+from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import DataError, UsageError
 from labdaemon.geometry.lens import Lens
@@ -68,6 +68,11 @@ class PreparedCamera:
         Its control targets.
     orientation
         Where it stands; None without a survey.
+    thumbnails
+        Textures as small pictures, to be found again.
+    dots
+        Each dot as found and the part of the first sharp frame that holds it: what the published method starts from.
+        Empty unless asked for.
     """
 
     name: str
@@ -78,6 +83,7 @@ class PreparedCamera:
     control: ControlTargets
     orientation: Orientation | None = None
     thumbnails: tuple[Thumbnail, ...] = ()
+    dots: tuple[tuple[Dot, Patch], ...] = ()
 
     @property
     def centres_px(self) -> FloatArray:
@@ -94,11 +100,17 @@ class PreparedCamera:
     def renamed(self, keep: Sequence[int], names: Sequence[str]) -> PreparedCamera:
         """The same camera with only these targets, in this order, under these names."""
         targets = tuple(replace(self.targets[i], name=name) for i, name in zip(keep, names, strict=True))
-        return replace(self, targets=targets, sought=tuple(self.sought[i] for i in keep))
+        dots = tuple(self.dots[i] for i in keep) if self.dots else ()
+        return replace(self, targets=targets, sought=tuple(self.sought[i] for i in keep), dots=dots)
 
 
 def prepare_camera(
-    name: str, files: Sequence[Path], *, at_rest: bool = True, survey: CameraSurvey | None = None
+    name: str,
+    files: Sequence[Path],
+    *,
+    at_rest: bool = True,
+    survey: CameraSurvey | None = None,
+    keep_dots: bool = False,
 ) -> PreparedCamera:
     """Find and fit targets and control targets in a camera's sharp frames, and orient it.
 
@@ -112,6 +124,8 @@ def prepare_camera(
         Whether the structure rests in them.
     survey
         Lens and surveyed control targets; None to work in pixels alone.
+    keep_dots
+        Keep what the published method needs.
 
     Raises
     ------
@@ -147,6 +161,7 @@ def prepare_camera(
         tuple(replace(one, contrast=float(c)) for one, c in zip(plain, contrast, strict=True)),
         control,
         None if survey is None else _orient(control, survey, files[0]),
+        dots=tuple((dot, _around(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
     )
 
 
@@ -192,11 +207,14 @@ def _enough(control: ControlTargets, survey: CameraSurvey, file: Path) -> None:
     )
 
 
-def _fit(dot: Dot, frames: Sequence[RawFrame]) -> SharpTarget:
+def _around(dot: Dot, frame: RawFrame) -> Patch:
+    """The part of a frame that holds a dot and its paper."""
     half = int(np.ceil(2.0 * dot.semi_major_px + 10))
-    x, y = round(dot.x_px), round(dot.y_px)
-    side = 2 * half + 1
-    return fit_sharp(dot, [frame.patch(x - half, y - half, side, side) for frame in frames])
+    return frame.patch(round(dot.x_px) - half, round(dot.y_px) - half, 2 * half + 1, 2 * half + 1)
+
+
+def _fit(dot: Dot, frames: Sequence[RawFrame]) -> SharpTarget:
+    return fit_sharp(dot, [_around(dot, frame) for frame in frames])
 
 
 def _orient(control: ControlTargets, survey: CameraSurvey, file: Path) -> Orientation:

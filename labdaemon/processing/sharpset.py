@@ -78,7 +78,13 @@ def camera_survey(folder: DataFolder, camera: str) -> CameraSurvey:
 
 def prepare_in_folder(folder: DataFolder, files: SharpFiles, camera: str) -> PreparedCamera:
     """Prepare one camera of a folder's sharp set; one task for a worker."""
-    return prepare_camera(camera, files.frames[camera], at_rest=files.at_rest, survey=camera_survey(folder, camera))
+    return prepare_camera(
+        camera,
+        files.frames[camera],
+        at_rest=files.at_rest,
+        survey=camera_survey(folder, camera),
+        keep_dots=folder.rig.processing.method == "paper",
+    )
 
 
 def assemble(
