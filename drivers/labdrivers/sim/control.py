@@ -58,7 +58,7 @@ class Control:
             case "edge":
                 rig.trigger.external_edge()
             case "quit":
-                self._quit()
+                threading.Timer(0.1, self._quit).start()  # after the answer
             case other:
                 raise ValueError(f"no request {other!r}")
         return True
