@@ -90,7 +90,7 @@ class RigConfig(Section):
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def load_rig(path: Path | str, *, check_drivers: bool = True) -> RigConfig:
+def load_rig(path: Path | str, *, check_drivers: bool = True, check_files: bool = True) -> RigConfig:
     """Read and check a rig file.
 
     Parameters
@@ -100,11 +100,16 @@ def load_rig(path: Path | str, *, check_drivers: bool = True) -> RigConfig:
     check_drivers
         Also look up every driver, refuse keys that it does not know, and let it check its values (this opens nothing).
 
+    check_files
+        Also read the survey and look for the other files that it names. Who only wants to stop the table does not.
+
     Raises
     ------
     ConfigError
         Names file and key: unknown key (with the nearest known one), wrong type, value out of range, unknown driver,
         two of one name or serial number, a file that is not there.
+    DataError
+        The survey is no survey; names its file.
     """
     source = Path(path)
     _, data = read_toml(source)
@@ -112,11 +117,8 @@ def load_rig(path: Path | str, *, check_drivers: bool = True) -> RigConfig:
         raise ConfigError("is one table; write [[gauge]] with double brackets", source=source, key="gauge")
     rig = parse_model(RigConfig, {**data, " source": source}, source=source)
     _check_names(rig)
-    for key, written in (("control.file", rig.control.file), ("targets.file", rig.targets.file)):
-        if written is not None and not rig.path(written).is_file():
-            raise ConfigError(f"{rig.path(written)} is not there", source=source, key=key)
-    if rig.shaker and rig.shaker.calibration is not None and not rig.path(rig.shaker.calibration).is_file():
-        raise ConfigError(f"{rig.path(rig.shaker.calibration)} is not there", source=source, key="shaker.calibration")
+    if check_files:
+        _check_files(rig)
     if check_drivers:
         for key, kind, name, section in _driver_sections(rig):
             settings = rig.shaker_settings() if kind == "shaker" else section.settings
@@ -207,6 +209,19 @@ def _check_driver(
             inner = (exc.key or "").removeprefix(key).removeprefix(name).strip(".")
             message = str(exc).removeprefix(f"{exc.key}: ")
             raise ConfigError(message, source=source, key=f"{key}.{inner}" if inner else key) from None
+
+
+def _check_files(rig: RigConfig) -> None:
+    from labdaemon.processing.survey import read_control, read_targets
+
+    named = [("control.file", rig.control.file), ("targets.file", rig.targets.file)]
+    named.append(("shaker.calibration", rig.shaker.calibration if rig.shaker else None))
+    for key, written in named:
+        if written is not None and not rig.path(written).is_file():
+            raise ConfigError(f"{rig.path(written)} is not there", source=rig.source, key=key)
+    control = read_control(rig.path(rig.control.file), rig.control.size_mm)
+    if rig.targets.file is not None:
+        read_targets(rig.path(rig.targets.file), control)
 
 
 def _check_names(rig: RigConfig) -> None:

@@ -15,6 +15,8 @@ from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.tomlfile import Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+Written = Annotated[str, Field(pattern=r"^[^\x00]+$")]
+"""A path or port: some text without a NUL."""
 Positive = Annotated[float, Field(gt=0, strict=True)]
 Fraction = Annotated[float, Field(gt=0, le=1, strict=True)]
 Count = Annotated[int, Field(ge=0, strict=True)]
@@ -30,7 +32,7 @@ class ServiceSection(Section):
 
     events: str = "tcp://127.0.0.1:5571"
     commands: str = "tcp://127.0.0.1:5570"
-    data: Annotated[str, Field(min_length=1)] = "data"
+    data: Written = "data"
     """Folder of journal, campaigns and frames; relative to the rig file."""
 
     @field_validator("events", "commands")
@@ -102,9 +104,9 @@ class LimitsSection(Section):
 class ShakerSection(DriverSection):
     """The shaker's controller."""
 
-    port: Annotated[str, Field(min_length=1)]
+    port: Written
     limits: LimitsSection
-    calibration: str | None = None
+    calibration: Written | None = None
     """Table of drive level to millimetres over frequency (CSV), relative to the rig file."""
 
 
@@ -123,7 +125,7 @@ class GaugeSection(DriverSection):
     name: Name
     role: Literal["table", "response"]
     unit: Literal["mm", "m/s2"] = "mm"
-    port: Annotated[str, Field(min_length=1)]
+    port: Written
 
 
 class CameraSection(DriverSection):
@@ -159,7 +161,7 @@ class TargetsSection(Section):
         | Annotated[tuple[Annotated[float, Field(ge=0.5, le=500, strict=True)], ...], Field(min_length=1)]
     )
     """One size, or a list of the sizes in use."""
-    file: str | None = None
+    file: Written | None = None
     """Approximate places of the targets (``name,x_mm,y_mm,z_mm``), relative to the rig file."""
 
 
@@ -168,7 +170,7 @@ class ControlSection(Section):
 
     family: Name = "apriltag-36h11"
     size_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
-    file: str = "control.csv"
+    file: Written = "control.csv"
     """Their surveyed centres (``name,x_mm,y_mm,z_mm,sd_mm``), relative to the rig file."""
 
 

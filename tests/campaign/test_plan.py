@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import random
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.campaign.plan import PlanRig, make_plan, settling_s
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.exposure import third_stop_steps_s
-from labdaemon.errors import ConfigError, LimitError
+from labdaemon.errors import ConfigError, LabdaemonError, LimitError
 
 TABLE = ShakerLimits(150.0, 1000.0, 20000.0, (0.5, 50.0))
 STEPS_S = third_stop_steps_s()
@@ -239,6 +240,27 @@ def test_files_that_are_no_campaign(tmp_path: Path) -> None:
             load_campaign(tmp_path / name)
     with pytest.raises(ConfigError, match="cannot be read"):
         load_campaign(tmp_path / "missing.toml")
+
+
+def test_mutilated_campaigns_end_in_one_line() -> None:
+    values = ["-1", "1e308", "nan", '""', "[]", "[[1]]", "{}", "{ start = 1 }", "true", "1979-05-27", "[1, 'a']"]
+    whole = THREE_MODES.read_text() + '[[phase]]\nkind = "dwell"\nfrequency_hz = 9.0\namplitude_mm = 0.5\nhold_s = 2\n'
+    refusals: list[LabdaemonError] = []
+    randomness = random.Random(3)
+    for _ in range(400):
+        lines = whole.splitlines()
+        for _ in range(randomness.randint(1, 3)):
+            place = randomness.randrange(len(lines))
+            if "=" in lines[place] and randomness.random() < 0.6:
+                lines[place] = lines[place].partition("=")[0] + "= " + randomness.choice(values)
+            else:
+                lines.insert(place, lines.pop(randomness.randrange(len(lines))))
+        try:
+            make_plan(load_campaign("\n".join(lines)), RIG)
+        except LabdaemonError as exc:
+            refusals.append(exc)
+    assert len(refusals) > 50
+    assert all("\n" not in str(exc) and exc.exit_status == 2 for exc in refusals)
 
 
 def test_a_slip_of_the_pen_does_not_make_a_million_steps() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import random
 import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from labdaemon.errors import ConfigError
+from labdaemon.errors import ConfigError, DataError, LabdaemonError
 from labdaemon.service.config import RigConfig, load_rig, plan_rig
 from labdrivers.sim.rig_file import rig_toml
 from labdrivers.sim.spec import RigSpec
@@ -87,7 +88,8 @@ def test_the_digest_knows_what_results_depend_on(tmp_path: Path) -> None:
     assert {load_rig(written(tmp_path, change)).digest for change in same} == {base}
     assert base not in {load_rig(written(tmp_path, change)).digest for change in other}
     path = written(tmp_path)
-    (tmp_path / "sim-control.csv").write_text("name,x_mm,y_mm,z_mm,sd_mm\n0,1,2,3,0.1\n")
+    survey = tmp_path / "sim-control.csv"
+    survey.write_text(survey.read_text().replace(",0.05", ",0.06"))
     assert load_rig(path).digest != base
 
 
@@ -144,6 +146,36 @@ def test_mistakes_are_named_with_their_path(tmp_path: Path, change: tuple[str, s
     assert caught.value.key == key
     assert str(caught.value).startswith(f"{path}: {key}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_a_survey_that_is_none_is_told_before_anything_runs(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    (tmp_path / "sim-control.csv").write_text("name,x_mm,y_mm,z_mm,sd_mm\n0,1,2,3,0.1\n")
+    with pytest.raises(DataError, match=r"sim-control\.csv"):
+        load_rig(path)
+    assert load_rig(path, check_files=False).limits is not None  # enough to stop the table
+
+
+def test_mutilated_files_end_in_one_line(tmp_path: Path) -> None:
+    values = ["-1", "1e308", "nan", '""', '"x"', "[]", "[[1]]", "{}", "true", "1979-05-27", '"\\u0000"', '"../.."']
+    refusals: list[LabdaemonError] = []
+    randomness = random.Random(7)
+    path = written(tmp_path)
+    for _ in range(150):
+        lines = SIM.splitlines()
+        for _ in range(randomness.randint(1, 3)):
+            place = randomness.randrange(len(lines))
+            if "=" in lines[place] and randomness.random() < 0.6:
+                lines[place] = lines[place].partition("=")[0] + "= " + randomness.choice(values)
+            else:
+                lines.insert(place, lines.pop(randomness.randrange(len(lines))))
+        path.write_text("\n".join(lines))
+        try:
+            plan_rig(load_rig(path))
+        except LabdaemonError as exc:
+            refusals.append(exc)
+    assert len(refusals) > 50
+    assert all("\n" not in str(exc) and exc.exit_status == 2 for exc in refusals)
 
 
 def test_no_cameras_is_an_error(tmp_path: Path) -> None:
