@@ -132,8 +132,9 @@ def _start_bounds(pool: WorkerPool) -> list[Future[BoundTable]]:
 
 def _finish_bounds(tables: list[Future[BoundTable]]) -> BoundTable:
     done = [table.result() for table in tables]
-    merged = {diameter: sd for table in done for diameter, sd in table.sd_mm.items()}
-    return BoundTable(done[0].amplitude_mm, merged)
+    along = {diameter: sd for table in done for diameter, sd in table.along_mm.items()}
+    across = {diameter: sd for table in done for diameter, sd in table.across_mm.items()}
+    return BoundTable(done[0].amplitude_mm, along, across)
 
 
 def _envelope(folder: Path, pool: WorkerPool, method: str) -> Iterable[dict[str, Any]]:

@@ -45,10 +45,10 @@ class Light:
     texture_length_mm: float = 0.3
 
 
-def semi_amplitude_bound_mm(
+def motion_bound_mm(
     render: Renderer, diameter_mm: float, amplitude_mm: float, light: Light, *, angle_rad: float = 0.5
-) -> float:
-    """Least standard deviation of one target's semi-amplitude.
+) -> tuple[float, float]:
+    """Least standard deviation of one target's motion.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ def semi_amplitude_bound_mm(
 
     Returns
     -------
-    float
-        Millimetres.
+    along, across
+        Of the semi-amplitude vector's component along the motion, and across it, mm.
     """
     along = np.array([np.cos(angle_rad), 0.0, np.sin(angle_rad)])
     across = np.array([-np.sin(angle_rad), 0.0, np.cos(angle_rad)])
@@ -91,8 +91,9 @@ def semi_amplitude_bound_mm(
     weighted = np.stack([inverse.solve(column) for column in jacobian])
     information = np.einsum("ihw,jhw->ij", jacobian, weighted)
     scale = np.sqrt(np.diag(information))
-    bound = np.linalg.inv(information / np.outer(scale, scale))[0, 0]
-    return float(np.sqrt(bound) / scale[0])
+    covariance = np.linalg.inv(information / np.outer(scale, scale))
+    bounds = np.sqrt(np.diag(covariance)) / scale
+    return float(bounds[0]), float(bounds[3])
 
 
 def _picture(
@@ -196,23 +197,33 @@ class BoundTable:
     ----------
     amplitude_mm
         (n,) ascending.
-    sd_mm
-        Diameter -> (n,).
+    along_mm, across_mm
+        Diameter -> (n,): of the semi-amplitude's length, and of its component across the motion.
     """
 
     amplitude_mm: FloatArray
-    sd_mm: dict[float, FloatArray]
+    along_mm: dict[float, FloatArray]
+    across_mm: dict[float, FloatArray]
 
     def at(self, diameter_mm: float, amplitude_mm: float) -> float:
-        """The bound between tabulated amplitudes (logarithmic)."""
-        table = self.sd_mm[diameter_mm]
+        """The bound of the semi-amplitude between tabulated ones (logarithmic), mm."""
+        return self._between(self.along_mm[diameter_mm], amplitude_mm)
+
+    def direction_deg(self, diameter_mm: float, amplitude_mm: float) -> float:
+        """The bound of the motion's direction."""
+        across = self._between(self.across_mm[diameter_mm], amplitude_mm)
+        return float(np.degrees(np.arctan2(across, amplitude_mm)))
+
+    def _between(self, table: FloatArray, amplitude_mm: float) -> float:
         return float(np.exp(np.interp(np.log(amplitude_mm), np.log(self.amplitude_mm), np.log(table))))
 
 
 def bound_table(render: Renderer, diameters_mm: tuple[float, ...], light: Light, count: int = 7) -> BoundTable:
     """Tabulate the bound from 0.1 to 12 mm."""
     amplitudes = np.geomspace(0.1, 12.0, count)
-    return BoundTable(
-        amplitudes,
-        {d: np.array([semi_amplitude_bound_mm(render, d, float(a), light) for a in amplitudes]) for d in diameters_mm},
-    )
+    along: dict[float, FloatArray] = {}
+    across: dict[float, FloatArray] = {}
+    for diameter in diameters_mm:
+        both = np.array([motion_bound_mm(render, diameter, float(a), light) for a in amplitudes])
+        along[diameter], across[diameter] = both.T
+    return BoundTable(amplitudes, along, across)

@@ -43,7 +43,7 @@ def draw(result: AccuracyResult, file: Path) -> None:
     left.axhline(mean, color="0.5", ls="--", lw=0.8, label=f"published: mean {mean} mm")
     left.set(xscale="log", xlabel="true semi-amplitude, mm", ylabel="error, mm")
     left.legend(fontsize=8)
-    for colour, (diameter, bound) in zip(COLOURS, sorted(result.bounds.sd_mm.items()), strict=False):
+    for colour, (diameter, bound) in zip(COLOURS, sorted(result.bounds.along_mm.items()), strict=False):
         mine = [pair for pair in ours if pair.diameter_mm == diameter]
         right.plot([p.true_mm for p in mine], [abs(p.error_mm) for p in mine], ".", color=colour, ms=4)
         right.plot(result.bounds.amplitude_mm, bound, color=colour, label=f"{diameter:g} mm dots: Cramér–Rao bound")

@@ -34,6 +34,8 @@ class Figures:
         Root mean square of that bound.
     direction_p50_deg, direction_p95_deg
         Error of the direction, above `SEEN_MM`.
+    direction_ratio, direction_bound_deg
+        Root mean squares of that error over its Cramér–Rao bound, and of the bound.
     minor_p95_mm
         95 % of the errors of the minor semi-axis lie within this.
     relative_p95
@@ -50,6 +52,8 @@ class Figures:
     bound_mm: float
     direction_p50_deg: float
     direction_p95_deg: float
+    direction_ratio: float
+    direction_bound_deg: float
     minor_p95_mm: float
     relative_p95: float
 
@@ -71,6 +75,7 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
     limits = [bounds.at(pair.diameter_mm, pair.true_mm) for pair in moving] if bounds else []
     bound = np.array(limits, dtype=float)
     over = [pair.error_mm / limit for pair, limit in zip(moving, bound, strict=False)]
+    direction_bound = [bounds.direction_deg(pair.diameter_mm, pair.true_mm) for pair in moving] if bounds else []
     direction = [pair.direction_error_deg for pair in moving]
     return Figures(
         targets=len(pairs),
@@ -83,6 +88,8 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
         bound_mm=_rms(bound),
         direction_p50_deg=_quantile(direction, 0.5),
         direction_p95_deg=_quantile(direction, 0.95),
+        direction_ratio=_rms([error / limit for error, limit in zip(direction, direction_bound, strict=False)]),
+        direction_bound_deg=_rms(direction_bound),
         minor_p95_mm=_quantile([abs(pair.minor_error_mm) for pair in good], 0.95),
         relative_p95=_quantile([abs(pair.error_mm) / pair.true_mm for pair in moving], 0.95),
     )

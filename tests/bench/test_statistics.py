@@ -22,7 +22,7 @@ def pairs_with(
 
 def test_mean_spread_pulls_and_bound() -> None:
     errors = np.random.default_rng(1).normal(0.002, 0.01, 4000)
-    bounds = BoundTable(np.array([0.1, 12.0]), {8.0: np.array([0.005, 0.005])})
+    bounds = BoundTable(np.array([0.1, 12.0]), {8.0: np.array([0.005, 0.005])}, {8.0: np.array([0.01, 0.01])})
     f = figures(pairs_with(errors), bounds)
     assert f.mean_mm == pytest.approx(0.002, abs=5e-4)
     assert f.sd_mm == pytest.approx(0.01, rel=0.05)
@@ -43,7 +43,7 @@ def test_what_is_taken_back_is_counted_but_not_averaged() -> None:
 
 
 def test_small_amplitudes_are_not_held_against_the_bound() -> None:
-    bounds = BoundTable(np.array([0.1, 12.0]), {8.0: np.array([0.005, 0.005])})
+    bounds = BoundTable(np.array([0.1, 12.0]), {8.0: np.array([0.005, 0.005])}, {8.0: np.array([0.01, 0.01])})
     f = figures(pairs_with(np.full(4, 0.02), amplitude=0.15), bounds)
     assert math.isnan(f.bound_ratio)
     assert f.p95_mm == pytest.approx(0.02)
