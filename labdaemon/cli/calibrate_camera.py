@@ -23,7 +23,7 @@ from labdaemon.report.residuals import residual_picture
 @click.option("--name", help="The camera's name in the rig file; the folder's if not given.")
 @click.option("--charuco", metavar="COLSxROWS", help="The board is a ChArUco of so many squares, as 9x6.")
 @click.option("--marker", default=0.75, show_default=True, help="Its markers' side, in parts of a square's.")
-@click.option("--family", default="4x4-100", show_default=True, help="Its markers' family.")
+@click.option("--family", default="aruco-4x4-100", show_default=True, help="Its markers' family.")
 @click.option("--jpeg", is_flag=True, help="Take JPEGs, for a camera that measures in JPEG.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Where to write; FOLDER/results if not given."

@@ -169,7 +169,10 @@ def form_normal(network: Network, linear: Linear, damping: float = 0.0) -> Norma
     v[:, diagonal, diagonal] *= 1.0 + damping
     fixed = network.survey_sd == 0
     v[:, diagonal, diagonal] += fixed
-    inverse_v = np.linalg.inv(v) * ~(fixed[:, :, None] | fixed[:, None, :])
+    try:
+        inverse_v = np.linalg.inv(v) * ~(fixed[:, :, None] | fixed[:, None, :])
+    except np.linalg.LinAlgError as exc:
+        raise DataError("some points are seen along parallel rays only, so that their depth is not fixed") from exc
     rows = np.repeat(np.arange(2 * count), 3)
     places = np.repeat(3 * network.point[:, None] + np.arange(3), 2, axis=0).ravel()
     weighted_points = sparse.csr_matrix((weighted.ravel(), (rows, places)), shape=(2 * count, 3 * points))
