@@ -7,9 +7,10 @@ There is one way out of every interruption, a fault, a wish, an interlock or kil
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from labdaemon.campaign.control import Control, Interrupted
+from labdaemon.campaign.guard import Pace
 from labdaemon.campaign.measuring import Measuring
 from labdaemon.campaign.reporter import Reporter
 from labdaemon.campaign.steps import Step
@@ -38,12 +39,15 @@ class Policy:
         Go on with campaigns that were planned for another rig file.
     window_s
         Frames of one outside release arrive from all cameras within this time.
+    pace
+        How often the guard looks.
     """
 
     max_tries: int = 4
     backoff_s: float = 2.0
     accept_changed_rig: bool = False
     window_s: float = 5.0
+    pace: Pace = field(default_factory=Pace)
 
     def pause_s(self, failures: int) -> float:
         """Wait after this many failures in a row."""

@@ -84,6 +84,7 @@ class Engine:
             free_bytes=free_bytes,
             oldest_s=measuring.oldest_s,
             quiet=self.control.quiet.wait,
+            pace=policy.pace,
         )
         self.manual = Manual(lab, measuring)
         measuring.published = self._on_published

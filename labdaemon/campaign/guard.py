@@ -18,13 +18,19 @@ from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.capture.table import displacement_mm
 from labdaemon.errors import DeviceError, DeviceRefused
 
-HEARTBEAT_S = 0.4
-WATCH_S = 0.25
 WATCH_CYCLES = 2.0
-ROOM_S = 5.0
-CAMERAS_S = 30.0
 MISSES = 3
 """Readings or answers in a row that may be missing before a device counts as lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Seconds between two rounds of each loop. The enable line drops by itself after 1.5 s without a heartbeat."""
+
+    heartbeat_s: float = 0.4
+    gauges_s: float = 0.25
+    room_s: float = 5.0
+    cameras_s: float = 30.0
 
 
 @dataclass(slots=True)
@@ -51,6 +57,7 @@ class Guard:
     free_bytes: Callable[[], int]
     oldest_s: Callable[[], float]
     quiet: Callable[[], Awaitable[object]]
+    pace: Pace = field(default_factory=Pace)
     beats: int = 0
     _misses: dict[str, int] = field(default_factory=dict)
     _seen: Sighting | None = None
@@ -68,7 +75,7 @@ class Guard:
         while True:
             if trigger is not None and table.enabled:
                 try:
-                    await trigger.urgent(lambda driver: driver.heartbeat(), HEARTBEAT_S)
+                    await trigger.urgent(lambda driver: driver.heartbeat(), self.pace.heartbeat_s)
                 except DeviceRefused as exc:
                     table.enabled = False
                     if table.excitation is not None:
@@ -78,7 +85,7 @@ class Guard:
                 else:
                     self._misses["heartbeat"] = 0
             self.beats += 1
-            await self.lab.clock.sleep(HEARTBEAT_S)
+            await self.lab.clock.sleep(self.pace.heartbeat_s)
 
     async def _gauges(self) -> None:
         while True:
@@ -88,11 +95,11 @@ class Guard:
             else:
                 for gauge in self.lab.rig.gauges:
                     await self._watch(gauge, excitation.frequency_hz)
-            await self.lab.clock.sleep(WATCH_S)
+            await self.lab.clock.sleep(self.pace.gauges_s)
 
     async def _watch(self, gauge: Wired[Gauge], frequency_hz: float) -> None:
         name, driver = gauge.driver.name, gauge.driver
-        duration_s = max(WATCH_CYCLES / frequency_hz, WATCH_S)
+        duration_s = max(WATCH_CYCLES / frequency_hz, self.pace.gauges_s)
         try:
             reading = await gauge.call(lambda gauge: gauge.read(frequency_hz, duration_s=duration_s), CALL_S)
         except DeviceError as exc:
@@ -120,14 +127,14 @@ class Guard:
             )
             if reason is not None and self.lab.table.excitation is not None:
                 self.trip(reason)
-            await self.lab.clock.sleep(ROOM_S)
+            await self.lab.clock.sleep(self.pace.room_s)
 
     async def _cameras(self) -> None:
         while True:
             for name in self.lab.rig.cameras:
                 await self.quiet()
                 await self._ask_camera(name)
-            await self.lab.clock.sleep(CAMERAS_S)
+            await self.lab.clock.sleep(self.pace.cameras_s)
 
     async def _ask_camera(self, name: str) -> None:
         try:

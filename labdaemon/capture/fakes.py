@@ -200,7 +200,7 @@ class FakeTrigger:
         self.world.enabled = True
 
     def heartbeat(self) -> None:
-        self.world.enter(self.name, "heartbeat", 0.001)
+        self.world.enter(self.name, "heartbeat", 0.0)
         if not self.world.is_enabled():
             raise DeviceRefused("the enable line is down", device=self.name)
         self.world.heartbeat_at = self.world.clock.monotonic()
@@ -320,7 +320,7 @@ class FakeGauge:
         return "fake gauge"
 
     def read(self, frequency_hz: float, *, duration_s: float) -> GaugeReading:
-        self.world.enter(self.name, "read", 0.01)
+        self.world.enter(self.name, "read", 0.0)
         if self.role == "table":
             value, change = (self.world.amplitude_mm if self.world.moves() else 0.0), 0.0
         else:

@@ -160,7 +160,8 @@ class InlineLine:
         except Exception as exc:
             error = exc
         spent_s = self._spent_s()
-        await asyncio.sleep(min(spent_s, timeout_s))
+        if spent_s:
+            await asyncio.sleep(min(spent_s, timeout_s))
         if spent_s > timeout_s:
             raise TransportError(f"did not answer within {timeout_s:g} s", device=self._device)
         if error is not None:
