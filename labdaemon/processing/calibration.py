@@ -193,7 +193,7 @@ def calibrate(pictures: Sequence[BoardPicture], notes: Sequence[str] = ()) -> Ca
         final.image_px,
         adjustment.residuals_px,
         final.picture,
-        (*notes, *(_left_out(error, files) for error in gross)),
+        (*notes, *(left_out_line(error, files) for error in gross)),
         tuple(weaknesses(lens, adjustment.interior_sd(), final.poses, final.image_px)),
     )
 
@@ -293,7 +293,7 @@ def _circle_centres(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequenc
     return result
 
 
-def _left_out(error: GrossError, files: Sequence[Path]) -> str:
+def left_out_line(error: GrossError, files: Sequence[Path]) -> str:
     """Say which point of which photograph was left out."""
     return (
         f"{files[error.picture].name}: point {error.point} left out, off by {error.size:.2f} px "

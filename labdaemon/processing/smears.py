@@ -182,5 +182,7 @@ def reduce(grey: Picture, scale: int) -> Picture:
     if scale == 1:
         return grey
     h, w = grey.shape[0] // scale, grey.shape[1] // scale
+    if not h or not w:
+        return np.zeros((h, w), np.float32)
     size = (w, h)
     return cast(Picture, cv2.resize(grey[: h * scale, : w * scale], size, interpolation=cv2.INTER_AREA))

@@ -1,0 +1,67 @@
+"""The pool with real worker processes: functions here are imported by the workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from labdaemon.errors import DataError, LabdaemonError
+from labdaemon.processing.pool import WorkerPool
+from labdaemon.processing.tables import csv_text
+
+
+def test_runs_a_function_and_passes_its_exception(pool: WorkerPool) -> None:
+    assert pool.submit(csv_text, ["a"], [{"a": 1.5}]).result(60) == "a\n1.500000\n"
+    with pytest.raises(KeyError):
+        pool.submit(csv_text, ["a"], [{}]).result(60)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with WorkerPool(2, deadline_s=60) as it:
+        yield it
+
+
+def test_workers_keep_to_one_thread_and_leave_ctrl_c_to_the_parent(pool: WorkerPool) -> None:
+    assert pool.submit(os.getenv, "OMP_NUM_THREADS").result(60) == "1"
+    assert pool.submit(signal.getsignal, signal.SIGINT).result(60) == signal.SIG_IGN
+    assert pool.submit(os.getpid).result(60) != os.getpid()
+
+
+def test_a_poisoned_task_is_refused_and_its_neighbours_survive(pool: WorkerPool) -> None:
+    others = [pool.submit(time.sleep, 0.2) for _ in range(3)]
+    poison = pool.submit(os._exit, 3)
+    with pytest.raises(DataError, match=r"_exit killed its worker process twice"):
+        poison.result(60)
+    for other in others:
+        other.result(60)
+    assert pool.submit(os.getenv, "OMP_NUM_THREADS").result(60) == "1"
+
+
+def test_a_worker_killed_from_outside_costs_nothing(pool: WorkerPool, tmp_path: Path) -> None:
+    marker = tmp_path / "once"
+    task = pool.submit(os.path.exists, marker)
+    task.result(60)
+    pid = pool.submit(os.getpid).result(60)
+    slow = pool.submit(time.sleep, 0.5)
+    os.kill(pid, signal.SIGKILL)
+    assert slow.result(60) is None
+
+
+def test_a_task_that_never_ends_is_given_up() -> None:
+    with WorkerPool(1, deadline_s=3.0) as pool, pytest.raises(DataError, match="longer than 3 s twice"):
+        pool.submit(time.sleep, 600).result(60)
+
+
+def test_closing_ends_what_is_running() -> None:
+    pool = WorkerPool(1, deadline_s=600)
+    pool.submit(os.getpid).result(60)
+    slow = pool.submit(time.sleep, 600)
+    threading.Timer(0.3, pool.close).start()
+    with pytest.raises(LabdaemonError, match="closed"):
+        slow.result(60)
