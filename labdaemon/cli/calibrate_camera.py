@@ -15,6 +15,7 @@ from labdaemon.errors import DataError, UsageError
 from labdaemon.geometry.lens import INTERIOR_NAMES
 from labdaemon.processing.boards import Charuco
 from labdaemon.processing.calibration import Calibration, board_files, calibrate, read_board
+from labdaemon.processing.photomodeler import calibrate_export
 from labdaemon.report.residuals import residual_picture
 
 
@@ -39,27 +40,29 @@ def camera(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Find a camera's lens from the photographs in FOLDER.
+    """Find a camera's lens from the photographs in FOLDER, or from a PhotoModeler project's text export.
 
     They show a ChArUco board (--charuco) or a sheet of dots on a square grid with at least two coded rings among them.
     Take ten or more at the focus and aperture of the measurement: from all sides, tilted by 30° and more, some with
     the camera turned by 90°, and such that every corner of the frame holds points in some of them.
     """
     board = Charuco.parse(charuco, marker, family) if charuco is not None else None
-    name = name or folder.resolve().name
+    name = name or (folder.stem if folder.is_file() else folder.resolve().name)
     if re.fullmatch(r"[A-Za-z0-9_-]+", name) is None:
         raise UsageError(f"{name!r} cannot be a camera's name: give one with --name, of letters, digits, _ and -")
-    files = board_files(folder)
-    console = Console(stderr=True)
-    with Parts(console) as parts:
-        pictures, notes = read_board(
-            files, board, jpeg=jpeg, progress=lambda done, total: parts("photographs", done, total)
-        )
-        parts("adjustment", 0, 1)
-        result = calibrate(pictures, notes)
+    with Parts(Console(stderr=True)) as parts:
+        if folder.is_file():
+            parts("adjustment", 0, 1)
+            result = calibrate_export(folder)
+        else:
+            pictures, notes = read_board(
+                board_files(folder), board, jpeg=jpeg, progress=lambda done, total: parts("photographs", done, total)
+            )
+            parts("adjustment", 0, 1)
+            result = calibrate(pictures, notes)
         parts("adjustment", 1, 1)
     table = camera_table(name, result)
-    written = _write(out if out is not None else folder / "results", name, table, result)
+    written = _write(out or (folder.parent if folder.is_file() else folder) / "results", name, table, result)
     for line in result.left_out:
         click.echo(line, err=True)
     for line in result.warnings:

@@ -67,6 +67,21 @@ def test_photographs_in_table_and_picture_out(shared_data: Path, tmp_path: Path)
     assert not list(tmp_path.glob("*.part"))
 
 
+def test_a_photomodeler_export_is_read_and_converted(shared_data: Path, tmp_path: Path) -> None:
+    """Brown's backward model in, OpenCV's out, from the export's own points."""
+    result = run(str(shared_data / "camcal/camcal-pmexport.txt"), "--name", "olympus", "--out", str(tmp_path), "--json")
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["sigma0_px"] < 0.16
+    assert told["focal_px"][1] == pytest.approx(7.457 / (5.43764 / 1704), abs=2.0)
+    assert told["sd"]["fx"] < 1.0
+    broken = tmp_path / "other.txt"
+    broken.write_text("nothing of the kind\n")
+    refused = run(str(broken))
+    assert isinstance(refused.exception, DataError)
+    assert "other.txt: not a PhotoModeler text export" in str(refused.exception)
+
+
 def test_bad_input_is_one_line_and_nothing_is_written(tmp_path: Path) -> None:
     photographs = tmp_path / "photographs"
     photographs.mkdir()
