@@ -34,7 +34,7 @@ def ink_moments(x_mm: float, z_mm: float, motion: Motion | None, fine: int = 4) 
     smear = smear_target(scene, 0, view, path, fine)
     assert smear is not None
     window = smear.ink.window
-    ink = develop(smear.ink.spectra[0], window, LENS)[1].astype(float) / (scene.paper - scene.ink)
+    ink = develop(smear.ink.spectra, window, LENS)[0][1].astype(float) / (scene.paper - scene.ink)
     y, x = np.mgrid[0 : window.height, 0 : window.width].astype(float)
     x, y = x + window.x0, y + window.y0
     area = ink.sum()
@@ -120,7 +120,9 @@ def test_a_label_may_stay_behind_its_dot() -> None:
         scene = Scene((Target("A", (0.0, 0.0, 0.0), 8.0, (40.0, 40.0)),), texture=0.0, still_paper=still)
         smear = smear_target(scene, 0, view, path, 4)
         assert smear is not None
-        images[still] = [develop(s, layer.window, LENS)[1] for layer in (smear.paper, smear.ink) for s in layer.spectra]
+        images[still] = [
+            seen[1] for layer in (smear.paper, smear.ink) for seen in develop(layer.spectra, layer.window, LENS)
+        ]
     np.testing.assert_allclose(images[True][2], images[False][2], atol=2e-6)
     edge = (images[True][1].shape[0] // 2, slice(0, images[True][1].shape[1] // 2))
     steepest = [np.abs(np.diff(images[still][1][edge])).max() for still in (False, True)]

@@ -48,7 +48,7 @@ def make_folder(
     gradient: tuple[float, float] = (0.08, -0.05),
     read_noise_e: float = 7.0,
     gaussian_optics: bool = False,
-    nef: bool = False,
+    nef: bool = True,
     pattern: str = "RGGB",
     survey_sd_mm: float = 0.05,
     distance_mm: float = 1000.0,

@@ -63,14 +63,24 @@ class Optics:
         if self.kind == "gaussian":
             variance = self.sigma_px**2 + self.defocus_px**2 / 16.0
             return np.asarray(np.exp(-2.0 * np.pi**2 * variance * frequency**2))
-        total = np.zeros_like(frequency)
-        centre = self.wavelengths_um[colour]
-        for wavelength in (centre - self.band_um, centre, centre + self.band_um):
-            waves = self.defocus_px * self.pitch_um / (8.0 * self.f_number * wavelength)
-            grid, curve = _pupil_curve(round(waves, 9))
-            cutoff = self.pitch_um / (wavelength * self.f_number)
-            total += np.interp(frequency / cutoff, grid, curve, right=0.0)
-        return total / 3.0
+        grid, curve = _band_curve(self, colour)
+        return np.asarray(np.interp(frequency, grid, curve, right=0.0))
+
+
+@lru_cache(maxsize=64)
+def _band_curve(optics: Optics, colour: int) -> tuple[FloatArray, FloatArray]:
+    """Transfer function of one colour's band of wavelengths over frequency, cycles per pixel."""
+    centre = optics.wavelengths_um[colour]
+    wavelengths = (centre - optics.band_um, centre, centre + optics.band_um)
+    highest = optics.pitch_um / (wavelengths[0] * optics.f_number)
+    grid = np.linspace(0.0, highest, 6001)
+    total = np.zeros_like(grid)
+    for wavelength in wavelengths:
+        waves = optics.defocus_px * optics.pitch_um / (8.0 * optics.f_number * wavelength)
+        fraction, curve = _pupil_curve(round(waves, 9))
+        cutoff = optics.pitch_um / (wavelength * optics.f_number)
+        total += np.interp(grid / cutoff, fraction, curve, right=0.0)
+    return grid, total / len(wavelengths)
 
 
 @lru_cache(maxsize=64)

@@ -126,7 +126,8 @@ def render_frame(
     mean_dn = _interleave(planes, camera.image_size)
     for occluder in occluders:
         _occlude(mean_dn, occluder)
-    mean_dn *= _light(scene, camera.image_size) * np.float32(white_dn / scene.paper)
+    mean_dn *= _light(scene.gradient, scene.vignetting, camera.image_size)
+    mean_dn *= np.float32(white_dn / scene.paper)
     _colour(mean_dn, sensor)
     return Rendering(sensor.expose(mean_dn, seed), truth, mean_dn)
 
@@ -165,8 +166,9 @@ class Developed:
 
 def _develop(smear: Smear, optics: Optics) -> Developed:
     paper, ink = smear.paper, smear.ink
-    white, cover = (develop(spectrum, paper.window, optics) for spectrum in paper.spectra)
-    return Developed(paper.window, white, cover, ink.window, develop(ink.spectra[0], ink.window, optics))
+    white, cover = develop(paper.spectra, paper.window, optics)
+    (taken,) = develop(ink.spectra, ink.window, optics)
+    return Developed(paper.window, white, cover, ink.window, taken)
 
 
 def _composite(planes: Planes, card: Developed | None, sensor: Sensor) -> None:
@@ -216,14 +218,17 @@ def _interleave(planes: Planes, image_size: tuple[int, int]) -> FloatImage:
     return image
 
 
-def _light(scene: Scene, image_size: tuple[int, int]) -> FloatImage:
+@lru_cache(maxsize=2)
+def _light(gradient: tuple[float, float], vignetting: float, image_size: tuple[int, int]) -> FloatImage:
     """Relative illumination (h, w): a gradient and the lens's vignetting, 1 in the middle."""
     width, height = image_size
     x = np.linspace(-1.0, 1.0, width, dtype=np.float32)[None, :]
     y = np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None]
-    corner = 0.5 * (x * x + y * y)
-    gx, gy = (np.float32(0.5 * g) for g in scene.gradient)
-    return np.asarray((1.0 + gx * x + gy * y) * (1.0 - np.float32(scene.vignetting) * corner), np.float32)
+    half = np.float32(0.5)
+    light = half * np.float32(gradient[0]) * x + (half * np.float32(gradient[1]) * y + np.float32(1.0))
+    light *= (np.float32(1.0) - half * np.float32(vignetting) * x * x) - half * np.float32(vignetting) * y * y
+    light.flags.writeable = False
+    return np.asarray(light)
 
 
 def _colour(mean_dn: FloatImage, sensor: Sensor) -> None:

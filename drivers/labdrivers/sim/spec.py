@@ -127,7 +127,7 @@ class RigSpec:
     )
     modes: tuple[Mode, ...] = DEFAULT_MODES
     table: TableSpec = field(default_factory=TableSpec)
-    sensor: Sensor = field(default_factory=Sensor)
+    sensor: Sensor = field(default_factory=lambda: Sensor(nef=True))
     targets: tuple[Target, ...] = field(default_factory=frame_targets)
     tags: tuple[Tag, ...] = field(default_factory=control_tags)
     survey_sd_mm: float = 0.05

@@ -8,6 +8,7 @@ Then comes the lens, and each sensor pixel is the sum over its own fine cells.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from labdrivers.sim.sensor import FloatImage
 FINE = 4
 """Fine cells along a pixel's side."""
 
-HALO_PX = 20
+HALO_PX = 40
 """Margin around a shape for the lens to spread into."""
 
 REACH = 2
@@ -110,45 +111,45 @@ def transform(fine_image: FloatImage) -> NDArray[np.complex64]:
     return spectrum
 
 
-def develop(spectrum: NDArray[np.complex64], window: Window, optics: Optics) -> list[FloatImage]:
-    """What the sensor's pixels see of a fine image through the lens.
+def develop(spectra: Sequence[NDArray[np.complex64]], window: Window, optics: Optics) -> list[list[FloatImage]]:
+    """What the sensor's pixels see of fine images through the lens.
 
     Parameters
     ----------
-    spectrum
-        Of the fine image, from `transform`.
+    spectra
+        Of fine images of one window, from `transform`.
 
     Returns
     -------
-    list of (height, width)
-        One image a colour, as if every pixel had it.
+    list of list of (height, width)
+        For each of them one image a colour, as if every pixel had it.
     """
     fine, height, width = window.fine, window.height, window.width
     cutoff = optics.cutoff_per_px()
     fy: FloatArray = np.fft.fftfreq(height * fine, 1.0 / fine).astype(np.float64)
     fx: FloatArray = np.fft.rfftfreq(width * fine, 1.0 / fine).astype(np.float64)
+    parts = list(spectra)
     # Nothing beyond half a cycle per pixel passes a small aperture: only the middle of the spectrum is needed.
     small = cutoff is not None and cutoff < 0.5
     if small:
         keep_y = np.r_[0 : (height + 1) // 2, height * fine - height // 2 : height * fine]
         fy, fx = fy[keep_y], fx[: width // 2 + 1]
-        part = spectrum[keep_y][:, : width // 2 + 1] / fine**2
-    else:
-        part = spectrum
-    part = part * np.outer(_pixel(fy, fine), _pixel(fx, fine)).astype(np.complex64)
+        parts = [part[keep_y][:, : width // 2 + 1] / fine**2 for part in parts]
+    pixel = np.outer(_pixel(fy, fine), _pixel(fx, fine)).astype(np.complex64)
     radius = np.hypot(fy[:, None], fx[None, :])
-    images: list[FloatImage] = []
-    shared: FloatImage | None = None
+    images: list[list[FloatImage]] = [[] for _ in parts]
     for colour in range(COLOURS):
-        if shared is not None and optics.kind == "gaussian":
-            images.append(shared)
+        if colour and optics.kind == "gaussian":
+            for seen in images:
+                seen.append(seen[0])
             continue
-        passed = part * optics.transfer(radius, colour).astype(np.float32)
-        if small:
-            shared = scipy.fft.irfft2(passed, s=(height, width))
-        else:
-            shared = scipy.fft.irfft2(passed, s=(height * fine, width * fine))[::fine, ::fine]
-        images.append(np.asarray(shared, np.float32))
+        passed = pixel * optics.transfer(radius, colour).astype(np.float32)
+        for part, seen in zip(parts, images, strict=True):
+            if small:
+                image = scipy.fft.irfft2(part * passed, s=(height, width))
+            else:
+                image = scipy.fft.irfft2(part * passed, s=(height * fine, width * fine))[::fine, ::fine]
+            seen.append(np.asarray(image, np.float32))
     return images
 
 
