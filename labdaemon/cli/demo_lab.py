@@ -18,7 +18,7 @@ from typing import IO, Any, Protocol
 from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.stream.client import Client, EventStream
 
-READY_S = 60.0
+READY_S = 120.0
 """Longest that the daemon may take to serve."""
 SILENT_S = 60.0
 """A daemon that is not heard for so long hangs; a busy machine alone delays heartbeats by seconds."""

@@ -24,7 +24,7 @@ from labdaemon.stream import messages
 COMMANDS = "tcp://127.0.0.1:5570"
 EVENTS = "tcp://127.0.0.1:5571"
 """Where a daemon listens unless its rig file says otherwise."""
-SILENT_S = 5.0
+SILENT_S = 10.0
 """A daemon whose heartbeat has been missing for so long is gone."""
 HIGH_WATER = 10_000
 

@@ -1,4 +1,8 @@
-"""Sockets of the daemon: bound on loopback, with limits on what a peer can make them hold."""
+"""Sockets of the daemon: bound on loopback, with limits on what a peer can make them hold.
+
+What libzmq cannot bound is one message of endless frames, each below the limit: it keeps them until the last. Only
+programs of this machine can send that.
+"""
 
 from __future__ import annotations
 

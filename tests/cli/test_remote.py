@@ -12,10 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 
-from labdaemon.cli.main import COMMANDS, cli, main
+from labdaemon.cli.main import COMMANDS, main
 from labdaemon.clock import SystemClock
 from labdaemon.errors import LimitError
 from labdaemon.journal.event import Event
@@ -257,11 +256,3 @@ def test_help_lists_every_command_without_importing_any() -> None:
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert all(re.search(rf"^  {name}  +\S", shown, re.M) for name in COMMANDS)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_is_where_it_is_said_to_be(name: str) -> None:
-    command = cli.get_command(click.Context(cli), name)
-    assert isinstance(command, click.Command)
-    assert command.name == name
-    assert command.help
