@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Coroutine
 from typing import Any, Literal
 
-from labdaemon.errors import InterlockError
+from labdaemon.errors import LabdaemonError
 
 Wish = Literal["go", "pause", "abort"]
 
@@ -26,8 +26,8 @@ class Control:
         self.wish: Wish = "go"
         self.reason: str | None = None
         """Why, for whoever asks."""
-        self.tripped: str | None = None
-        """Reason of the interlock that ended the step; None if none did."""
+        self.tripped: LabdaemonError | None = None
+        """What the guard ended the step for; None if it did not."""
         self.news = asyncio.Event()
         """Something may be different now: look again."""
         self.quiet = asyncio.Event()
@@ -52,9 +52,9 @@ class Control:
         if self._walking is not None and (at_once or self.quiet.is_set()):
             self._walking.cancel()
 
-    def trip(self, reason: str) -> None:
-        """Have the step left at once, as by an `InterlockError`."""
-        self.tripped = reason
+    def trip(self, error: LabdaemonError) -> None:
+        """Have the step left at once, as by this error."""
+        self.tripped = error
         if self._walking is not None:
             self._walking.cancel()
 
@@ -75,8 +75,8 @@ class Control:
         ------
         Interrupted
             Somebody wanted something else.
-        InterlockError
-            An interlock tripped.
+        LabdaemonError
+            The step failed, or the guard tripped.
         """
         self.tripped = None
         task = self._walking = asyncio.create_task(steps)
@@ -91,7 +91,7 @@ class Control:
             self._walking = None
             self.quiet.set()
         if self.tripped is not None:
-            raise InterlockError(self.tripped)
+            raise self.tripped
         if task.cancelled():
             raise Interrupted
         task.result()

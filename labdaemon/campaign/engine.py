@@ -112,15 +112,15 @@ class Engine:
             with suppress(asyncio.CancelledError):
                 await guard
 
-    def trip(self, reason: str) -> None:
+    def trip(self, error: LabdaemonError) -> None:
         """Interlock: stop the table at once; the step is left, and its `on_fault` decides what becomes of it."""
         if self.control.tripped is not None or not (self.control.is_walking or self.lab.table.excitation):
             return
-        log.error("interlock: %s", reason)
+        log.error("interlock: %s", error)
         task = asyncio.create_task(self._stop_table())
         self._stops.add(task)
         task.add_done_callback(self._stops.discard)
-        self.control.trip(reason)
+        self.control.trip(error)
 
     async def submit(self, plan: Plan, request_id: str | None = None) -> str:
         """Queue a checked campaign; its id, once it is in the journal."""
@@ -347,7 +347,7 @@ class Engine:
         self.largest_mm = max(sizes, default=self.largest_mm)
         reason = envelope_reason(self.limits, rows)
         if reason is not None:
-            self.trip(f"{name}: {reason}")
+            self.trip(InterlockError(f"{name}: {reason}"))
 
     async def _fault(self, exc: LabdaemonError, action: str) -> None:
         campaign = self.current.id if self.current is not None else None

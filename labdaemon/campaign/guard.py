@@ -16,7 +16,8 @@ from labdaemon.capture.capture import Lab
 from labdaemon.capture.devices import Gauge
 from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.capture.table import displacement_mm
-from labdaemon.errors import DeviceError, DeviceRefused
+from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError
+from labdaemon.journal.storage import StorageFull
 
 WATCH_CYCLES = 2.0
 MISSES = 3
@@ -40,7 +41,9 @@ class Guard:
     Attributes
     ----------
     trip
-        Called with a reason; it stops the table. Calling it again while it is stopped does no harm.
+        Called with what happened; it stops the table. Calling it again while it is stopped does no harm. A crossed
+        limit is an `InterlockError`, which waits for a person; a lost device's own `DeviceError` and a `StorageFull`
+        may pass.
     free_bytes
         Room on the data disk.
     oldest_s
@@ -53,7 +56,7 @@ class Guard:
 
     lab: Lab
     limits: Limits
-    trip: Callable[[str], None]
+    trip: Callable[[LabdaemonError], None]
     free_bytes: Callable[[], int]
     oldest_s: Callable[[], float]
     quiet: Callable[[], Awaitable[object]]
@@ -79,11 +82,11 @@ class Guard:
                 except DeviceRefused as exc:
                     table.enabled = False
                     if table.excitation is not None:
-                        self.trip(f"the amplifier's enable line is down ({exc})")
+                        self.trip(InterlockError(f"the amplifier's enable line is down ({exc})"))
                 except DeviceError as exc:
-                    self._missed("heartbeat", f"no heartbeat reaches the trigger box ({exc})")
+                    self._missed(trigger.driver.name, exc)
                 else:
-                    self._misses["heartbeat"] = 0
+                    self._misses[trigger.driver.name] = 0
             self.beats += 1
             await self.lab.clock.sleep(self.pace.heartbeat_s)
 
@@ -103,7 +106,7 @@ class Guard:
         try:
             reading = await gauge.call(lambda gauge: gauge.read(frequency_hz, duration_s=duration_s), CALL_S)
         except DeviceError as exc:
-            self._missed(name, f"gauge {name} is lost ({exc})")
+            self._missed(name, exc)
             return
         self._misses[name] = 0
         excitation = self.lab.table.excitation
@@ -118,15 +121,17 @@ class Guard:
         elif self.lab.table.settled is not None:
             reason = interlocks.table_reason(self.limits, excitation.amplitude_mm, now)
         if reason is not None:
-            self.trip(reason)
+            self.trip(InterlockError(reason))
 
     async def _room_and_workers(self) -> None:
         while True:
-            reason = interlocks.disk_reason(self.limits, self.free_bytes()) or interlocks.stall_reason(
-                self.limits, self.oldest_s()
-            )
-            if reason is not None and self.lab.table.excitation is not None:
-                self.trip(reason)
+            if self.lab.table.excitation is not None:
+                full = interlocks.disk_reason(self.limits, self.free_bytes())
+                stalled = interlocks.stall_reason(self.limits, self.oldest_s())
+                if full is not None:
+                    self.trip(StorageFull(full))
+                if stalled is not None:
+                    self.trip(InterlockError(stalled))
             await self.lab.clock.sleep(self.pace.room_s)
 
     async def _cameras(self) -> None:
@@ -140,14 +145,14 @@ class Guard:
         try:
             status = await self.lab.rig.cameras[name].call(lambda driver: driver.status())
         except DeviceError as exc:
-            self._missed(name, f"camera {name} is lost ({exc})")
+            self._missed(name, exc)
             return
         self._misses[name] = 0
         reason = interlocks.camera_reason(self.limits, name, status)
         if reason is not None and self.lab.table.excitation is not None:
-            self.trip(reason)
+            self.trip(InterlockError(reason))
 
-    def _missed(self, what: str, reason: str) -> None:
-        self._misses[what] = self._misses.get(what, 0) + 1
-        if self._misses[what] >= MISSES and self.lab.table.excitation is not None:
-            self.trip(reason)
+    def _missed(self, device: str, exc: DeviceError) -> None:
+        self._misses[device] = self._misses.get(device, 0) + 1
+        if self._misses[device] >= MISSES and self.lab.table.excitation is not None:
+            self.trip(exc)
