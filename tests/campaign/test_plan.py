@@ -44,6 +44,13 @@ def test_three_modes() -> None:
     assert made.predicted_s == pytest.approx(12 + 3 * (2 + 4) + sum(settling_s(f, 0.01) for f in (5, 8, 12)), abs=0.1)
 
 
+@pytest.mark.parametrize("path", sorted(THREE_MODES.parent.glob("*.toml")), ids=lambda path: path.stem)
+def test_the_campaigns_in_config_can_be_walked_on_the_simulated_rig(path: Path) -> None:
+    made = make_plan(load_campaign(path), RIG)
+    assert made.name == path.stem
+    assert made.steps[0].kind == "sharp"
+
+
 def test_settling_is_the_measured_time() -> None:
     assert settling_s(5.0, 0.01) == pytest.approx(22.0, abs=0.1)  # the textbook case: 5 Hz at 1 %
 
