@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 
 
 class LineParser:
@@ -21,8 +20,6 @@ class LineParser:
     def __init__(self, *, column: int, separator: str) -> None:
         self._column, self._separator = column, separator
         self._rest = b""
-        self.bad = 0
-        """Lines without a number so far: rubbish, or a gauge whose target is out of range."""
 
     def feed(self, data: bytes) -> list[float]:
         """Readings in the lines that `data` completes; NaN for a line without a number."""
@@ -37,8 +34,7 @@ class LineParser:
                 return value
         except (ValueError, IndexError):
             pass
-        self.bad += 1
-        return math.nan
+        return math.nan  # rubbish, or a gauge whose target is out of range
 
 
 class RecordParser:
@@ -58,8 +54,6 @@ class RecordParser:
         self._marker, self._form, self._checksum = marker, form, checksum
         self._size = struct.calcsize(form)
         self._rest = b""
-        self.bad = 0
-        """Places where a record should have begun or checked and did not."""
 
     def feed(self, data: bytes) -> list[float]:
         """Readings in the records that `data` completes."""
@@ -75,7 +69,6 @@ class RecordParser:
                 values.append(float(struct.unpack(self._form, body)[0]))
                 at += whole
                 continue
-            self.bad += 1
             found = data.find(self._marker, at + 1)
             at = found if found >= 0 else max(at + 1, len(data) - len(self._marker) + 1)
         self._rest = data[at:]
@@ -83,4 +76,3 @@ class RecordParser:
 
 
 Parser = LineParser | RecordParser
-MakeParser = Callable[[], Parser]

@@ -100,6 +100,7 @@ class SerialLine:
                 xonxoff=self.settings.handshake == "xonxoff",
                 timeout=TICK_S,
                 write_timeout=self.settings.timeout_s,
+                exclusive=True,  # advisory: keeps a second daemon off, not every program
             )
             if not self._raise_lines:
                 port.dtr = False

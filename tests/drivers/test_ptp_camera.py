@@ -200,6 +200,18 @@ def test_a_full_card_is_said(rig, camera):
         camera.wait_file(5)
 
 
+def test_a_body_that_exposes_longer_than_the_deadline_is_waited_for(rig, make_camera):
+    camera = make_camera(timeout_s=0.4)
+    camera.configure(exposure_s=1.3)
+    shoot(rig)
+    start = time.monotonic()
+    with pytest.raises(TransportError, match="busy"):
+        camera.status()
+    assert camera.wait_file(5.0) is not None
+    assert 1.2 < time.monotonic() - start < 3.0
+    assert camera.status().battery_percent == 90
+
+
 def test_two_cameras_work_side_by_side(rig, make_camera, tmp_path):
     cameras = {name: make_camera(serial) for name, serial in (("left", "6000001"), ("right", "6000002"))}
     found = {}

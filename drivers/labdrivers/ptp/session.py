@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError
 from labdrivers.ptp.codes import MEANINGS, Kind, Op, Response
-from labdrivers.ptp.container import pack, pack_parameters, unpack_parameters
+from labdrivers.ptp.container import BadContainer, pack, pack_parameters, unpack_parameters
 from labdrivers.ptp.datasets import DeviceInfo
 from labdrivers.ptp.transport import UsbPipe
 
@@ -72,7 +72,12 @@ class PtpSession:
     def info(self) -> DeviceInfo:
         """Who the camera is and what it can do; asked once."""
         if self._info is None:
-            self._info = DeviceInfo.parse(self.call(Op.GET_DEVICE_INFO).data)
+            try:
+                self._info = DeviceInfo.parse(self.call(Op.GET_DEVICE_INFO).data)
+            except BadContainer as exc:
+                raise ProtocolError(
+                    f"describes itself in a way that makes no sense ({exc})", device=self.device
+                ) from exc
         return self._info
 
     def supports(self, operation: int) -> bool:
@@ -104,10 +109,17 @@ class PtpSession:
                 with suppress(DeviceError):
                     self._transact(Op.CLOSE_SESSION, (), None, min(self._timeout_s, 2.0))
 
-    def call(
-        self, operation: int, *parameters: int, data_out: bytes | None = None, timeout_s: float | None = None
-    ) -> Reply:
+    def call(self, operation: int, *parameters: int, data_out: bytes | None = None, patience_s: float = 0.0) -> Reply:
         """One transaction that must end with OK; a busy camera is waited for.
+
+        Parameters
+        ----------
+        operation, parameters
+            What to do.
+        data_out
+            Data phase towards the camera.
+        patience_s
+            How much longer than the deadline a camera may say busy (while it exposes, for one).
 
         Raises
         ------
@@ -116,18 +128,18 @@ class PtpSession:
         TransportError, ProtocolError
             The wire or the answer failed; the transaction was cancelled.
         """
-        patience_s = self._timeout_s if timeout_s is None else timeout_s
+        patience_s += self._timeout_s
         deadline = time.monotonic() + patience_s
         while True:
             with self._lock:
-                reply = self._transact(operation, parameters, data_out, patience_s)
+                reply = self._transact(operation, parameters, data_out, self._timeout_s)
             if reply.code == Response.OK:
                 return reply
             if reply.code != Response.BUSY:
                 raise self._refusal(operation, reply.code)
             if time.monotonic() >= deadline:
                 raise TransportError(
-                    f"stays busy for {patience_s:g} s (a low battery looks like this too); check its battery, "
+                    f"stays busy for {patience_s:.3g} s (a low battery looks like this too); check its battery, "
                     "or switch it off and on",
                     device=self.device,
                 )

@@ -62,7 +62,7 @@ class FileWatch:
             file = self._next_fresh()
             if file is not None:
                 return file
-            self._ask_events()
+            self._ask_events(max(0.0, deadline - time.monotonic()))
             if not self._candidates and time.monotonic() > self._listed_at + LIST_EVERY_S:
                 self._compare_list()
             if self._candidates or self._fresh:
@@ -98,21 +98,21 @@ class FileWatch:
             self._files[handle] = file
         return self._files[handle]
 
-    def _ask_events(self) -> None:
-        for event in self._told():
+    def _ask_events(self, patience_s: float) -> None:
+        for event in self._told(patience_s):
             self._take(event)
 
     def _forget_events(self) -> None:
-        for _ in self._told():
+        for _ in self._told(0.0):
             pass
 
-    def _told(self) -> Iterator[tuple[int, int]]:
-        """Everything that either way of telling holds now."""
+    def _told(self, patience_s: float) -> Iterator[tuple[int, int]]:
+        """Everything that either way of telling holds now; a body may be busy with the exposure itself."""
         while (event := self._events.next(0.0)) is not None:
             yield event
         if self._session.supports(Op.NIKON_GET_EVENT):
             for _ in range(MOST_POLLS):
-                told = parse_nikon_events(self._session.call(Op.NIKON_GET_EVENT).data)
+                told = parse_nikon_events(self._session.call(Op.NIKON_GET_EVENT, patience_s=patience_s).data)
                 if not told:
                     break
                 yield from told

@@ -13,6 +13,7 @@ STORAGE_ID = 0x00010001
 FORMAT_FOLDER, FORMAT_FILE = 0x3001, 0x3000
 DCIM, FIRST_FOLDER, FIRST_FILE = 0x10000001, 0x10000064, 0x20000001
 NO_PARENT = 0
+FILES_A_FOLDER = 9999
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +68,18 @@ class Card:
             if len(content) > self._free():
                 raise CardFull
             new = []
-            for handle, name, parent in ((DCIM, "DCIM", NO_PARENT), (FIRST_FOLDER, "100NCD80", DCIM)):
+            folder = FIRST_FOLDER + self._next // FILES_A_FOLDER
+            folder_name = f"{100 + self._next // FILES_A_FOLDER}NCD80"
+            for handle, name, parent in ((DCIM, "DCIM", NO_PARENT), (folder, folder_name, DCIM)):
                 if handle not in self._objects:
                     self._objects[handle] = CardObject(handle, FORMAT_FOLDER, name, 0, parent, stamp, None)
                     new.append(handle)
             handle = FIRST_FILE + self._next
             self._next += 1
-            name = f"DSC_{self._next % 10000:04d}{self._suffix}"
+            name = f"DSC_{(self._next - 1) % FILES_A_FOLDER + 1:04d}{self._suffix}"
             path = self._directory / f"{handle:08x}"
             path.write_bytes(content)
-            self._objects[handle] = CardObject(handle, FORMAT_FILE, name, len(content), FIRST_FOLDER, stamp, path)
+            self._objects[handle] = CardObject(handle, FORMAT_FILE, name, len(content), folder, stamp, path)
             return [*new, handle]
 
     def handles(self) -> list[int]:

@@ -47,6 +47,8 @@ OPERATIONS = (
 EVENTS = (0x4002, 0x4003, 0x4006, 0x400A, 0x400C, 0x400D, 0xC101, 0xC102)
 MODEL, MAKER, VERSION = "NIKON DSC D80", "Nikon Corporation", "V1.10"
 MOST_EVENTS = 500
+RECOVERY_S = 0.1
+"""From the closing of the shutter until it can be released again."""
 
 Answer = tuple[int, tuple[int, ...], bytes | None]
 """Response code, its parameters, and the data phase before it, if any."""
@@ -96,7 +98,7 @@ class PtpBody:
         self._lock = threading.RLock()
         self._session_open = False
         self._taken_over = False
-        self._busy_until = 0.0
+        self._closed_at = 0.0
         self._told: deque[tuple[int, int]] = deque(maxlen=MOST_EVENTS)
         self.on_event: Callable[[int, int], None] = lambda code, parameter: None
 
@@ -110,11 +112,11 @@ class PtpBody:
     def release(self, t: float) -> float | None:
         """The cable is pressed at `t`: when the shutter is open, None if the body does not fire."""
         with self._lock:
-            if self._taken_over or t < self._busy_until or self.faults.strike("no_shutter"):
+            if self._taken_over or t < self._closed_at + RECOVERY_S or self.faults.strike("no_shutter"):
                 return None
             opened = t + self._exposer.lag_s + self._random.uniform(-1, 1) * self._jitter_s
             exposure_s = self.settings.exposure_s
-            self._busy_until = opened + exposure_s + 0.1
+            self._closed_at = opened + exposure_s
             shot = (opened, exposure_s, self.settings.iso, self.settings.f_number)
         threading.Thread(target=self._take, args=shot, name=f"shot {self._serial}", daemon=True).start()
         return opened
@@ -180,8 +182,8 @@ class PtpBody:
             return self._ok(self._device_info())
         if not self._session_open:
             return Response.SESSION_NOT_OPEN, (), None
-        if self.faults.strike("busy"):
-            return Response.BUSY, (), None
+        if self.faults.strike("busy") or (code != Op.CLOSE_SESSION and self._clock() < self._closed_at):
+            return Response.BUSY, (), None  # a body that exposes has no time for the host
         match code:
             case Op.CLOSE_SESSION:
                 self._session_open = False
