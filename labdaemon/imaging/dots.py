@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labdaemon.blur import ellipse
+from labdaemon.blur.ellipse import Ellipse
 from labdaemon.blur.pixels import Dot
-from labdaemon.imaging import ellipse
 from labdaemon.imaging.blobs import find_blobs
-from labdaemon.imaging.ellipse import Ellipse
 from labdaemon.imaging.frame import Grey, RawFrame
 from labdaemon.imaging.margin import paper_extent
 

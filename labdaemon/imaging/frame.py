@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.errors import DataError
-from labdaemon.imaging.hot import isolated
+from labdaemon.imaging.hot import isolated, within_neighbours
 
 SATURATION_MARGIN = 0.01
 """Fraction of the range below white level from where on a pixel no longer counts as linear."""
@@ -74,6 +74,11 @@ class RawFrame:
         return int(self.pattern.max()) + 1
 
     @property
+    def spacing(self) -> int:
+        """Distance to the next pixel of the same colour in a row, px."""
+        return 2 if self.channels > 1 else 1
+
+    @property
     def saturation_dn(self) -> float:
         """Counts (black included) from which a pixel is taken as saturated."""
         return self.white_level - SATURATION_MARGIN * (self.white_level - float(self.black.mean()))
@@ -107,7 +112,7 @@ class RawFrame:
             if self.masked is not None:
                 good &= ~self.masked[ay:by, ax:bx]
             light = raw - _tile(self.black, ax, ay, bx - ax, by - ay)
-            good &= ~isolated(light, 2 if self.channels > 1 else 1)
+            good &= ~isolated(light, self.spacing)
             ty, tx = slice(max(ay, y0) - y0, min(by, y0 + h) - y0), slice(max(ax, x0) - x0, min(bx, x0 + w) - x0)
             sy, sx = slice(max(ay, y0) - ay, min(by, y0 + h) - ay), slice(max(ax, x0) - ax, min(bx, x0 + w) - ax)
             if tx.stop > tx.start and ty.stop > ty.start:
@@ -157,12 +162,13 @@ class RawFrame:
         height, width = self.values.shape
         gains = self.gains()
         scale = gains[self.pattern] / (self.white_level - float(self.black.mean()))
+        values = within_neighbours(self.values, self.spacing)
         out = np.empty((height, width), dtype=np.float32)
         if self.black.shape == self.values.shape:
-            np.subtract(self.values, self.black, out=out, casting="unsafe")
+            np.subtract(values, self.black, out=out, casting="unsafe")
             offset = np.zeros(scale.shape)
         else:
-            out[...] = self.values
+            out[...] = values
             ph, pw = (int(np.lcm(a, b)) for a, b in zip(self.black.shape, scale.shape, strict=True))
             scale, offset = _tile(scale, 0, 0, pw, ph), _tile(self.black, 0, 0, pw, ph)
         ph, pw = scale.shape

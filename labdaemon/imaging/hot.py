@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +28,7 @@ def isolated(values: FloatArray, spacing: int) -> NDArray[np.bool_]:
     (h, w) bool. The limit is six robust standard deviations of the difference between a pixel and its neighbours'
     mean, plus 4 DN for quantisation.
     """
-    kernel = np.zeros((2 * spacing + 1, 2 * spacing + 1), dtype=np.uint8)
-    kernel[::spacing, ::spacing] = 1
-    kernel[spacing, spacing] = 0
+    kernel = _neighbours(spacing)
     image = values.astype(np.float32)
     above = image - cv2.dilate(image, kernel, borderType=cv2.BORDER_REFLECT_101)
     below = cv2.erode(image, kernel, borderType=cv2.BORDER_REFLECT_101) - image
@@ -37,3 +37,30 @@ def isolated(values: FloatArray, spacing: int) -> NDArray[np.bool_]:
     limit = 6.0 * 1.4826 * float(np.median(np.abs(image - mean))) + 4.0
     result: NDArray[np.bool_] = np.maximum(above, below) > limit
     return result
+
+
+def within_neighbours(values: NDArray[Any], spacing: int) -> NDArray[Any]:
+    """Each pixel brought within the range of its eight neighbours of the same colour: no hot or dead pixels are left.
+
+    Parameters
+    ----------
+    values
+        (h, w) counts.
+    spacing
+        As for `isolated`.
+
+    Returns
+    -------
+    (h, w) of the same type. Noise is cut a little too: for finding and drawing, not for measuring.
+    """
+    kernel = _neighbours(spacing)
+    highest = cv2.dilate(values, kernel, borderType=cv2.BORDER_REFLECT_101)
+    lowest = cv2.erode(values, kernel, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(cv2.min(cv2.max(values, lowest), highest))
+
+
+def _neighbours(spacing: int) -> NDArray[np.uint8]:
+    kernel = np.zeros((2 * spacing + 1, 2 * spacing + 1), dtype=np.uint8)
+    kernel[::spacing, ::spacing] = 1
+    kernel[spacing, spacing] = 0
+    return kernel

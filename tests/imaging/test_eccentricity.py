@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.imaging.eccentricity import centre_shift, ellipse_centre
-from labdaemon.imaging.ellipse import fit
+from labdaemon.blur.ellipse import fit
 
 
 def circle(centre: np.ndarray, normal: np.ndarray, radius: float) -> np.ndarray:
