@@ -44,8 +44,8 @@ class PlanRig:
         Size of one frame of each camera, by camera name.
     free_bytes
         Room for the campaign on disk; None if it is not to be checked.
-    has_response_gauge
-        Settling is then watched, and predicted as the transient's length all the same.
+    can_fire
+        False when an outside system fires the shutters.
     set_s, shot_s
         Time to set the shaker, and to fire and fetch the files besides the exposure itself.
     digest
@@ -56,7 +56,7 @@ class PlanRig:
     exposure_steps_s: Mapping[str, Sequence[float]]
     frame_bytes: Mapping[str, int] = field(default_factory=dict)
     free_bytes: int | None = None
-    has_response_gauge: bool = False
+    can_fire: bool = True
     set_s: float = 2.0
     shot_s: float = 3.0
     digest: str = ""
@@ -84,7 +84,7 @@ def make_plan(campaign: Campaign, rig: PlanRig) -> Plan:
         A step is beyond the table's stroke, velocity, acceleration, force or frequencies, no camera step lies near an
         exposure, or the disk is too small. The key says which number of the file: ``phase[2].amplitude_mm[1]``.
     ConfigError
-        A phase sets the shaker and the rig has none.
+        A phase sets the shaker or fires the shutters, and the rig has no shaker or trigger.
     """
     planner = _Planner(campaign, rig)
     steps = _with_sharp_sets(planner.walk())
@@ -163,6 +163,12 @@ class _Planner:
         if self.rig.limits is None:
             raise ConfigError(
                 "sets the shaker, but the rig has none; use kind external", source=self.source, key=f"phase[{place}]"
+            )
+        if not self.rig.can_fire:
+            raise ConfigError(
+                "fires the shutters, but the rig has no trigger of ours; use kind external",
+                source=self.source,
+                key=f"phase[{place}]",
             )
         settings = list(_settings(phase))
         for frequency_hz, amplitude_mm, frequency_key, amplitude_key in settings:

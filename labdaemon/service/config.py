@@ -146,8 +146,14 @@ def plan_rig(
         steps[name] = true_steps_s(named) if named else third_stop_steps_s()
         width, height = camera.image_size or DEFAULT_IMAGE_SIZE
         frame_bytes[name] = width * height * RAW_BYTES_A_PIXEL
-    watched = any(gauge.role == "response" for gauge in rig.gauges)
-    return PlanRig(rig.limits, steps, frame_bytes, free_bytes, has_response_gauge=watched, digest=rig.digest)
+    return PlanRig(
+        rig.limits,
+        steps,
+        frame_bytes,
+        free_bytes,
+        can_fire=rig.trigger.driver not in BUILT_IN["trigger"],
+        digest=rig.digest,
+    )
 
 
 def find_driver(kind: str, driver: str) -> EntryPoint:

@@ -193,6 +193,8 @@ def test_a_rig_without_shaker_waits_for_others() -> None:
     assert plan('[[phase]]\nkind = "external"\nfrequency_hz = 5', NO_SHAKER).steps[1].shots[0].cycles == 5
     with pytest.raises(ConfigError, match="external"):
         plan(steps_phase(), NO_SHAKER)
+    with pytest.raises(ConfigError, match="no trigger of ours"):
+        plan(steps_phase(), PlanRig(TABLE, RIG.exposure_steps_s, can_fire=False))
 
 
 @pytest.mark.parametrize(
