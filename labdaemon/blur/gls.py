@@ -19,7 +19,7 @@ from labdaemon.blur.model import Motion, Setting
 from labdaemon.blur.mosaic import interleave
 from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, light_coordinates, light_level
+from labdaemon.blur.solve import Model, Prior, Solution, derivatives
 
 
 def weigh_grain(
@@ -57,22 +57,22 @@ def weigh_grain(
     ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
     keep = 1 / (1 + ratio * spectrum)
     flat = _filtered(images * root, keep, size) * root
-    normal = np.einsum("ihw,jhw->ij", flat[:-1], images[:-1])
-    right = np.einsum("ihw,hw->i", flat[:-1], images[-1])
-    precision = np.zeros_like(normal)
+    count = len(columns)
+    normal = _products(flat[:-1], images)
+    right = normal[:, -1].copy()
+    precision = np.zeros((count, count))
     precision[:k, :k] = prior.precision
     right[:k] -= prior.precision @ (solution.p - prior.mean)
-    inverse = _inverse(normal + precision)
+    inverse = _inverse(normal[:, :-1] + precision)
     step = inverse @ right
     # Under this weight the noise is W^-1 and grain.
+    gain = np.tensordot(inverse[:k], flat[:-1], axes=1)
     own = np.zeros_like(root)
     own[paper] = 1 / root[paper] ** 2
-    spread = flat[:-1] * own
-    spread += signal * _filtered(flat[:-1] * signal, spectrum, size)
-    middle = np.einsum("ihw,jhw->ij", flat[:-1], spread) + precision
-    covariance = inverse @ middle @ inverse
+    spread = gain * own + signal * _filtered(gain * signal, spectrum, size)
+    covariance = _products(gain, spread) + inverse[:k, :k] @ prior.precision @ inverse[:k, :k]
     light = solution.light + step[k:].reshape(n, 4)
-    return replace(solution, p=solution.p + step[:k], light=light, covariance=covariance[:k, :k], correlated=True)
+    return replace(solution, p=solution.p + step[:k], light=light, covariance=covariance, correlated=True)
 
 
 def _columns(setting: Setting, solution: Solution, model: Model) -> tuple[FloatArray, int, int]:
@@ -80,19 +80,18 @@ def _columns(setting: Setting, solution: Solution, model: Model) -> tuple[FloatA
     planes = setting.planes
     dark, by_p = model(solution.p)
     n, k = len(planes.channel), len(by_p)
-    u, v = light_coordinates(planes)
-    level = light_level(planes, solution.light)
-    contrast = solution.light[:, 3, None, None]
-    shade = 1 - contrast * dark
+    own = derivatives(planes, solution.light, dark, by_p)
     columns = np.zeros((k + 4 * n, *dark.shape))
-    columns[:k] = by_p * (-(level * contrast))
+    columns[:k] = own[:, :k].swapaxes(0, 1)
     for index in range(n):
-        base = k + 4 * index
-        columns[base, index] = shade[index]
-        columns[base + 1, index] = shade[index] * u[index]
-        columns[base + 2, index] = shade[index] * v[index]
-        columns[base + 3, index] = -level[index] * dark[index]
+        columns[k + 4 * index : k + 4 * index + 4, index] = own[index, k:]
     return columns, n, k
+
+
+def _products(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(i, j) sums over all pixels."""
+    result: FloatArray = first.reshape(len(first), -1) @ second.reshape(len(second), -1).T
+    return result
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

@@ -78,7 +78,8 @@ def darkness_map(patch: Patch, contrast: dict[int, float] | None = None) -> Floa
         paper = (np.abs(flat - light) < tolerance) & finite.ravel()
         if np.count_nonzero(paper) < 0.05 * flat.size:
             break
-        light = design @ np.linalg.lstsq(design[paper], flat[paper], rcond=None)[0]
+        some = design[paper]
+        light = design @ np.linalg.lstsq(some.T @ some, some.T @ flat[paper], rcond=None)[0]
         tolerance = max(2.5 * 1.48 * float(np.median(np.abs(flat - light)[paper])), 0.02)
     result: FloatArray = ((flat - light) / np.maximum(1 - light, 0.2)).reshape(height, width)
     result[~finite] = 0.0

@@ -136,7 +136,7 @@ def solve(
     *,
     bound: Callable[[FloatArray], FloatArray] = lambda p: p,
     max_iterations: int = 30,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.02,
     light: FloatArray | None = None,
 ) -> Solution:
     """Fit the model to the planes.
@@ -144,8 +144,8 @@ def solve(
     Parameters
     ----------
     weights
-        From modelled values (n, h, w) to inverse variances, 0 where masked. Frozen after the second iteration, so that
-        the weights' own dependence on the model does not bias it.
+        From modelled values (n, h, w) to inverse variances, 0 where masked. Frozen after the second iteration
+        (at once when the light is given), so that the weights' own dependence on the model does not bias it.
     model
         Darkness and derivatives.
     start
@@ -159,57 +159,29 @@ def solve(
     light
         (n, 4) light to start from; solved linearly if not given.
     """
-    n = planes.values.shape[0]
-    u, v = light_coordinates(planes)
+    fresh = light is None
     y = planes.values
     p = bound(np.array(start, dtype=np.float64))
     dark, by_p = model(p)
-    k = len(p)
-    signal = np.broadcast_to(np.median(y[planes.valid]) if planes.valid.any() else 1.0, y.shape).astype(np.float64)
     if light is None:
-        weight = weights(np.maximum(y, 0.25 * signal))
-        light = solve_light(planes, weight, dark)
-    size = k + 4
-    identity = np.eye(k)
-
-    def predict(light: FloatArray, dark: FloatArray) -> tuple[FloatArray, FloatArray]:
-        level = light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v
-        return level, level * (1 - light[:, 3, None, None] * dark)
-
-    level, signal = predict(light, dark)
+        typical = float(np.median(y[planes.valid])) if planes.valid.any() else 1.0
+        light = solve_light(planes, weights(np.maximum(y, 0.25 * typical)), dark)
+    signal = render_light(planes, light, dark)
     weight = weights(signal)
-    residual = y - signal
-    cost = float(np.sum(weight * residual**2)) + prior.cost(p)
+    cost = float(np.sum(weight * (y - signal) ** 2)) + prior.cost(p)
+    # Weights that follow the model for ever would bias it.
+    settle = 2 if fresh else 0
     damping, converged = 1e-3, False
-    columns = np.empty((n, size, *y.shape[1:]))
     for iteration in range(max_iterations):
-        contrast = light[:, 3, None, None]
-        columns[:, :k] = np.moveaxis(by_p, 0, 1) * (-(level * contrast))[:, None]
-        shade = 1 - contrast * dark
-        columns[:, k], columns[:, k + 1], columns[:, k + 2] = shade, shade * u, shade * v
-        columns[:, k + 3] = -level * dark
-        flat = columns.reshape(n, size, -1)
-        weighted = flat * weight.reshape(n, 1, -1)
-        normal = weighted @ flat.transpose(0, 2, 1)
-        gradient = (weighted @ residual.reshape(n, -1, 1))[..., 0]
-        ll = normal[:, k:, k:]
-        ll = ll + _ridge(ll, 1e-12)
-        inner = np.linalg.solve(ll, np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
-        reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ inner[:, :, :k]).sum(axis=0) + prior.precision
-        right = (gradient[:, :k] - (normal[:, :k, k:] @ inner[:, :, k:])[..., 0]).sum(axis=0)
-        right = right - prior.precision @ (p - prior.mean)
-        scale = np.sqrt(np.maximum(np.diag(reduced), 1e-30))
-        scaled = reduced / np.outer(scale, scale)
+        equations = _normal_equations(planes, weight, light, dark, by_p, p, prior)
         accepted = False
         for _ in range(8):
-            step = np.linalg.solve(scaled + damping * identity, right / scale) / scale
-            trial = bound(p + step)
+            trial = bound(p + equations.step(damping))
             step = trial - p
-            trial_light = light + inner[:, :, k] - inner[:, :, :k] @ step
+            trial_light = light + equations.light_step(step)
             trial_dark, trial_by_p = model(trial)
-            trial_level, trial_signal = predict(trial_light, trial_dark)
-            trial_residual = y - trial_signal
-            trial_cost = float(np.sum(weight * trial_residual**2)) + prior.cost(trial)
+            trial_signal = render_light(planes, trial_light, trial_dark)
+            trial_cost = float(np.sum(weight * (y - trial_signal) ** 2)) + prior.cost(trial)
             if np.isfinite(trial_cost) and trial_cost <= cost * (1 + 1e-12) + 1e-12:
                 accepted = True
                 break
@@ -217,23 +189,120 @@ def solve(
         if not accepted:
             converged = True
             break
-        small = bool(np.max(np.abs(step) * scale) < tolerance) or cost - trial_cost < 1e-4 * tolerance * cost
-        p, light, dark, by_p = trial, trial_light, trial_dark, trial_by_p
-        level, signal, residual, cost = trial_level, trial_signal, trial_residual, trial_cost
+        small = bool(np.max(np.abs(step) * equations.scale) < tolerance) or cost - trial_cost < 1e-5 * cost
+        p, light, dark, by_p, signal, cost = trial, trial_light, trial_dark, trial_by_p, trial_signal, trial_cost
         damping = max(damping / 10, 1e-9)
-        if iteration < 2:
+        if iteration < settle:
             weight = weights(signal)
-            cost = float(np.sum(weight * residual**2)) + prior.cost(p)
+            cost = float(np.sum(weight * (y - signal) ** 2)) + prior.cost(p)
         elif small:
             converged = True
             break
+    return _solution(planes, weight, equations, prior, p, light, signal, cost, converged)
+
+
+def one_step(
+    planes: Planes,
+    weights: Callable[[FloatArray], FloatArray],
+    model: Model,
+    start: FloatArray,
+    prior: Prior,
+    light: FloatArray,
+) -> Solution:
+    """A single Gauss–Newton step from where the fit is all but converged; parameters as for `solve`."""
+    dark, by_p = model(start)
+    signal = render_light(planes, light, dark)
+    weight = weights(signal)
+    equations = _normal_equations(planes, weight, light, dark, by_p, start, prior)
+    step = equations.step(0.0)
+    p, light = start + step, light + equations.light_step(step)
+    cost = float(np.sum(weight * (planes.values - signal) ** 2)) + prior.cost(start)
+    return _solution(planes, weight, equations, prior, p, light, signal, cost, True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """Normal equations with each lattice's light eliminated."""
+
+    reduced: FloatArray
+    right: FloatArray
+    inner: FloatArray
+    scale: FloatArray
+    weighted: FloatArray
+
+    def step(self, damping: float) -> FloatArray:
+        """Change of the parameters, with the diagonal raised by a factor 1 + damping."""
+        scaled = self.reduced / np.outer(self.scale, self.scale)
+        step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), self.right / self.scale)
+        result: FloatArray = step.astype(np.float64) / self.scale
+        return result
+
+    def light_step(self, step: FloatArray) -> FloatArray:
+        """(n, 4) change of the light that goes with a change of the parameters."""
+        k = len(self.right)
+        result: FloatArray = self.inner[:, :, k] - self.inner[:, :, :k] @ step
+        return result
+
+
+def _normal_equations(
+    planes: Planes,
+    weight: FloatArray,
+    light: FloatArray,
+    dark: FloatArray,
+    by_p: FloatArray,
+    p: FloatArray,
+    prior: Prior,
+) -> _Equations:
+    n, k = len(light), len(p)
+    columns = derivatives(planes, light, dark, by_p)
+    flat = columns.reshape(n, k + 4, -1)
+    weighted = flat * weight.reshape(n, 1, -1)
+    normal = weighted @ flat.transpose(0, 2, 1)
+    residual = planes.values - render_light(planes, light, dark)
+    gradient = (weighted @ residual.reshape(n, -1, 1))[..., 0]
+    ll = normal[:, k:, k:]
+    inner = np.linalg.solve(ll + _ridge(ll, 1e-12), np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
+    reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ inner[:, :, :k]).sum(axis=0) + prior.precision
+    right = (gradient[:, :k] - (normal[:, :k, k:] @ inner[:, :, k:])[..., 0]).sum(axis=0)
+    right = right - prior.precision @ (p - prior.mean)
+    scale = np.sqrt(np.maximum(np.diag(reduced), 1e-30))
+    return _Equations(reduced, right, inner.astype(np.float64), scale, weighted)
+
+
+def derivatives(planes: Planes, light: FloatArray, dark: FloatArray, by_p: FloatArray) -> FloatArray:
+    """(n, k + 4, h, w) derivatives of the values by the parameters and by each lattice's own light."""
+    u, v = light_coordinates(planes)
+    k = len(by_p)
+    level = light_level(planes, light)
+    contrast = light[:, 3, None, None]
+    shade = 1 - contrast * dark
+    columns = np.empty((len(light), k + 4, *dark.shape[1:]))
+    np.multiply(by_p.swapaxes(0, 1), -(level * contrast)[:, None], out=columns[:, :k])
+    columns[:, k], columns[:, k + 1], columns[:, k + 2] = shade, shade * u, shade * v
+    columns[:, k + 3] = -level * dark
+    return columns
+
+
+def _solution(
+    planes: Planes,
+    weight: FloatArray,
+    equations: _Equations,
+    prior: Prior,
+    p: FloatArray,
+    light: FloatArray,
+    signal: FloatArray,
+    cost: float,
+    converged: bool,
+) -> Solution:
+    k, scale = len(p), equations.scale
+    scaled = equations.reduced / np.outer(scale, scale)
     covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale)
-    through_light = np.einsum("nka,nap->nkp", inner[:, :, :k].transpose(0, 2, 1), weighted[:, k:])
-    gain = np.einsum("kj,njp->knp", covariance, weighted[:, :k] - through_light).reshape(k, *y.shape)
-    normalised = residual * np.sqrt(weight)
+    weighted, inner = equations.weighted, equations.inner[:, :, :k]
+    through = covariance @ (weighted[:, :k] - inner.transpose(0, 2, 1) @ weighted[:, k:])
+    gain = through.swapaxes(0, 1).reshape(k, *weight.shape)
     dof = int(np.count_nonzero(weight)) - k - 4 * int(np.count_nonzero(weight.any(axis=(1, 2))))
+    residual = (planes.values - signal) * np.sqrt(weight)
     prior_part = covariance @ prior.precision @ covariance
-    light_part: FloatArray = inner[:, :, :k].astype(np.float64)
     return Solution(
-        p, covariance, light, normalised, signal, cost, dof, converged, weight, prior_part, light_part, gain
+        p, covariance, light, residual, signal, cost, dof, converged, weight, prior_part, inner.copy(), gain
     )

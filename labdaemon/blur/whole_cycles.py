@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from labdaemon.blur import shapes
 from labdaemon.blur.axes import moment_axes, moment_matrix, positive, principal
 from labdaemon.blur.gls import weigh_grain
-from labdaemon.blur.honesty import REST_SIGMAS, honest_covariance, reach_flags
+from labdaemon.blur.honesty import POOR_CHI2, REST_SIGMAS, honest_covariance, reach_flags
 from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
-from labdaemon.blur.solve import Solution, solve
+from labdaemon.blur.solve import Prior, Solution, one_step, solve
 from labdaemon.blur.starts import starts_of
 from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
+
+QUICK_PX = 1.2  # semi-amplitude from which a smear's own moments are a start good enough for a straight fit
 
 
 def measure_whole_cycles(
@@ -34,7 +38,9 @@ def measure_whole_cycles(
         Flags to start with.
     """
     k = len(setting.by_shape)
-    free = _fit_orbit(sharp, setting, blur, starts_of(sharp, setting, blur, k))
+    starts = starts_of(sharp, setting, blur, k)
+    quick = _quick_orbit(sharp, setting, blur, starts[0], orbit=orbit) if _is_plain(sharp) else None
+    free = quick if quick is not None else _fit_orbit(sharp, setting, blur, starts)
     for _ in range(2):
         if not _mask_depends_on_motion(sharp):
             break
@@ -49,10 +55,15 @@ def measure_whole_cycles(
     lam, major, _, cov = principal(free.p[3 + k :], spread[3 + k :, 3 + k :])
     sd = np.sqrt(np.maximum(np.diag(cov), 0))
     if orbit and lam[0] > REST_SIGMAS * sd[0] and lam[1] > REST_SIGMAS * np.hypot(sd[1], blur.one_sided_px2):
+        free = weigh_grain(
+            sharp, setting, free, blurred_model(setting, shapes.orbit), shapes.orbit, nuisance_prior(sharp, blur, 3)
+        )
+        spread = honest_covariance(sharp, free, setting.planes)
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
         best, a, b = free, value[2:4], value[4:]
     else:
-        best = _fit_straight(sharp, setting, blur, free, np.sqrt(max(lam[0], 0.05)) * major, scale)
+        a = np.sqrt(max(lam[0], 0.05)) * major
+        best = _fit_straight(sharp, setting, blur, free, a, scale, converged=quick is not None)
         spread = honest_covariance(sharp, best, setting.planes)
         a, b, covariance = _straight_axes(best.p, spread, k, float(sd[1]))
     flags = flags | reach_flags(sharp, best, a, b)
@@ -75,6 +86,40 @@ def measure_whole_cycles(
         extra_blur_px2=float(best.p[2]),
         chi2=best.chi2,
     )
+
+
+def _is_plain(sharp: SharpTarget) -> bool:
+    """A dot with reliable noise and nothing but grain on its paper: no fit of it needs more than one start."""
+    return sharp.noise_known and isinstance(sharp.form, Ellipse) and sharp.form.relief is None
+
+
+def _quick_orbit(
+    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, start: FloatArray, *, orbit: bool
+) -> Solution | None:
+    """The orbit's fit by way of the straight one, where a smear is long enough and turns out to be straight; else None.
+
+    The straight path is fitted with the target's shape held, then one step frees the shape and the minor axis.
+    """
+    k = len(setting.by_shape)
+    values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
+    if values[1] < QUICK_PX**2 or values[0] > 0.1 * values[1] + 4.0:
+        return None
+    prior = nuisance_prior(sharp, blur, 3)
+    keep = [0, 1, 2, 3 + k, 4 + k]
+    held = Prior(prior.mean[keep], prior.precision[np.ix_(keep, keep)])
+    shapeless = replace(setting, by_shape=setting.by_shape[:0])
+    weights = pixel_weights(sharp, setting.planes)
+    path = np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1]))
+    found = solve(setting.planes, weights, blurred_model(shapeless, shapes.straight), path, held, tolerance=0.1)
+    a = found.p[3:]
+    if not found.converged or found.chi2 > POOR_CHI2 or float(np.hypot(*a)) < QUICK_PX:
+        return None
+    at = np.concatenate((found.p[:3], np.zeros(k), [a[0] ** 2, a[0] * a[1], a[1] ** 2]))
+    free = one_step(setting.planes, weights, blurred_model(setting, shapes.orbit), at, prior, found.light)
+    lam, _, _, cov = principal(free.p[3 + k :], free.covariance[3 + k :, 3 + k :])
+    if orbit and lam[1] > 2.0 * float(np.sqrt(cov[1, 1])):
+        return None
+    return free
 
 
 def _mask_depends_on_motion(sharp: SharpTarget) -> bool:
@@ -106,17 +151,27 @@ def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: li
         # The prior must be weighed against the noise as it is found.
         weights = pixel_weights(sharp, setting.planes, noise_scale(sharp, best))
         best = solve(setting.planes, weights, model, best.p, prior, bound=bound, light=best.light)
-    best = weigh_grain(sharp, setting, best, model, shapes.orbit, prior)
     return without_template_noise(sharp, setting, best, shapes.orbit)
 
 
 def _fit_straight(
-    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, free: Solution, a: FloatArray, scale: float
+    sharp: SharpTarget,
+    setting: Setting,
+    blur: ExtraBlur,
+    free: Solution,
+    a: FloatArray,
+    scale: float,
+    *,
+    converged: bool,
 ) -> Solution:
     k = len(setting.by_shape)
     model, prior = blurred_model(setting, shapes.straight), nuisance_prior(sharp, blur, 2)
     start = np.concatenate((free.p[: 3 + k], a))
-    best = solve(setting.planes, pixel_weights(sharp, setting.planes, scale), model, start, prior, light=free.light)
+    weights = pixel_weights(sharp, setting.planes, scale)
+    if converged:
+        best = one_step(setting.planes, weights, model, start, prior, free.light)
+    else:
+        best = solve(setting.planes, weights, model, start, prior, light=free.light)
     best = weigh_grain(sharp, setting, best, model, shapes.straight, prior)
     return without_template_noise(sharp, setting, best, shapes.straight)
 
