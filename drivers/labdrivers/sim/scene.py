@@ -135,7 +135,7 @@ class Scene:
     vignetting
         Loss of light in the frame's corners.
     clutter
-        How many things stand about in the background.
+        How many things stand about before the far wall.
     seed
         Of background and paper: the same seed is the same lab.
     still_paper
@@ -152,7 +152,7 @@ class Scene:
     texture_length_mm: float = 0.3
     gradient: tuple[float, float] = (0.08, -0.05)
     vignetting: float = 0.12
-    clutter: int = 60
+    clutter: int = 150
     seed: int = 1
     still_paper: bool = False
 
