@@ -79,6 +79,9 @@ class Patient:
     def meet(self, device: str, fault: str, *, lasting: bool) -> Met:
         """One fault, from a running campaign to its end."""
         self._up()
+        while self._ask("status")["campaign"] is not None:  # what the last one left
+            self._ask("campaign.abort")
+            time.sleep(0.5)
         seq = self._ask("status")["seq"]
         campaign = self._ask("campaign.submit", toml=CAMPAIGN.format(on_fault="pause" if lasting else "retry"))
         self._wait(lambda: self._ask("status")["step"] == 1 and self._rig.table()["moving"], 60.0)

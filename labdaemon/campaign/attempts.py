@@ -17,8 +17,8 @@ from labdaemon.campaign.steps import Step
 from labdaemon.campaign.walk import Walker
 from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
-from labdaemon.capture.recover import reconnect_lost, recover
-from labdaemon.errors import InterlockError, LabdaemonError
+from labdaemon.capture.recover import reconnect_suspects, recover
+from labdaemon.errors import DeviceError, InterlockError, LabdaemonError
 from labdaemon.journal import transitions
 from labdaemon.journal.storage import StorageFull
 
@@ -97,24 +97,24 @@ class Attempts:
                 return
 
     async def settle_down(self, campaign: str | None, step: Step | None) -> None:
-        """Complete or give up whatever was in flight, reaching for lost cameras again.
+        """Complete or give up whatever was in flight, reaching for lost devices again.
 
         Raises
         ------
         DeviceError
-            A camera stays lost, and a campaign waits for it.
+            A device stays lost, and a campaign waits for it.
         """
         self.doing = "recovering"
         failures = 0
         while True:
             try:
-                if failures:
-                    await reconnect_lost(self._lab)
+                await reconnect_suspects(self._lab)
                 await recover(self._lab)
             except StorageFull:
                 await self._reporter.wait_for_room()
             except LabdaemonError as exc:
                 failures += 1
+                self._suspect(exc)
                 if campaign is not None and failures >= self._policy.max_tries:
                     raise
                 await self._reporter.fault(exc, campaign=campaign, step=step, action="try again")
@@ -151,6 +151,7 @@ class Attempts:
         action = step.on_fault
         if action == "retry" and (isinstance(exc, InterlockError) or failures >= self._policy.max_tries):
             action = "pause"
+        self._suspect(exc)
         try:
             await self.leave()
         except InterlockError as worse:
@@ -170,6 +171,11 @@ class Attempts:
             case _ if self._control.wish == "go":
                 self._control.want(action, str(exc))
         return False
+
+    def _suspect(self, exc: LabdaemonError) -> None:
+        """A device that failed is connected to anew before it is used again."""
+        if isinstance(exc, DeviceError) and exc.device is not None:
+            self._lab.suspects.add(exc.device)
 
     async def _wait_for_window(self, step: Step, guard: asyncio.Task[None]) -> None:
         while (left_s := wait_s(self._lab.clock.now().astimezone(), step.not_before, step.not_after)) > 0.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -66,7 +66,7 @@ class FakeMeasurer:
         ]
         return Measured(rows, [{"capture": name, "camera": path.stem} for path in frames])
 
-    async def write_results(self, folder: Path, results: Sequence[Measured]) -> None:
+    async def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
         self.results[folder] = [str(result.envelope[0]["capture"]) for result in results]
 
     async def append_results(self, folder: Path, result: Measured) -> None:

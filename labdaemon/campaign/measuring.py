@@ -7,7 +7,7 @@ is dropped, so a crash at any point leaves in the journal exactly the captures t
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -47,8 +47,8 @@ class Measurer(Protocol):
         """
         ...
 
-    async def write_results(self, folder: Path, results: Sequence[Measured]) -> None:
-        """Write the folder's result files anew from everything measured so far."""
+    async def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+        """Write the folder's result files anew from everything measured so far, which may be more than fits memory."""
         ...
 
     async def append_results(self, folder: Path, result: Measured) -> None:
@@ -121,7 +121,7 @@ class Measuring:
         """
         self._group_sizes[campaign] = group_sizes
         kept = records.results(self._recorder.journal, campaign)
-        done = [Measured(result.envelope, result.measurements) for result in kept]
+        done = (Measured(result.envelope, result.measurements) for result in kept)
         await self._measurer.write_results(campaign_folder(self._data, campaign), done)
 
     async def catch_up(self, campaign: str) -> None:

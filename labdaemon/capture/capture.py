@@ -54,6 +54,8 @@ class Lab:
         A frame that has not come this long after its exposure never will.
     exposures_s
         What each body is set to now.
+    suspects
+        Names of devices that a fault was put down to, and that nobody has heard of since.
     """
 
     rig: Rig
@@ -65,6 +67,7 @@ class Lab:
     camera_timeout_s: float = 30.0
     clocks: CameraClocks = field(default_factory=CameraClocks)
     exposures_s: dict[str, float] = field(default_factory=dict)
+    suspects: set[str] = field(default_factory=set)
 
 
 Fired = Callable[[CaptureRecord], None]

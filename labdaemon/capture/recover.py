@@ -7,13 +7,14 @@ frames are set aside and the shot is repeated, because nobody knows what the tab
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Any
 
 from labdaemon.capture.capture import Lab, complete
 from labdaemon.capture.collect import clear_card, is_known, store
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.pairing import is_frame
 from labdaemon.capture.places import frame_path, set_aside_path
-from labdaemon.capture.rig import CALL_S
+from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.errors import DeviceError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.frames import move_durably, remove_parts
@@ -118,11 +119,26 @@ async def _leave_alone(lab: Lab, on_cards: dict[str, list[CardFile]]) -> None:
             await lab.recorder.write(transitions.know_files, name, foreign)
 
 
-async def reconnect_lost(lab: Lab) -> None:
-    """Begin a new session with every camera, as after a fault on any of them."""
-    for name, camera in lab.rig.cameras.items():
-        with suppress(DeviceError):  # it is the new session that counts
-            await camera.call(lambda driver: driver.close())
-        await camera.call(lambda driver: driver.connect(), 2 * CALL_S)
+async def reconnect_suspects(lab: Lab) -> None:
+    """Begin anew with every device that a fault was put down to; one that answers is no suspect any more.
+
+    Raises
+    ------
+    DeviceError
+        One does not come back. It stays a suspect.
+    """
+    rig = lab.rig
+    devices: list[Wired[Any]] = [*rig.cameras.values(), *rig.gauges]
+    devices += [device for device in (rig.trigger, rig.shaker) if device is not None]
+    for device in devices:
+        name = device.driver.name
+        if name not in lab.suspects:
+            continue
+        with suppress(DeviceError):  # it is the new connection that counts
+            await device.call(lambda driver: driver.close())
+        await device.call(lambda driver: driver.connect(), 2 * CALL_S)
+        if device is rig.trigger:
+            lab.table.enabled = False
         lab.exposures_s.pop(name, None)
         lab.clocks.forget(name)
+        lab.suspects.discard(name)

@@ -12,6 +12,7 @@ before ``exposed`` is ``discarded`` and repeated under another name; its frames 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -20,6 +21,8 @@ from labdaemon.journal.journal import Journal
 CampaignState = Literal["queued", "running", "paused", "completed", "aborted", "failed"]
 CaptureState = Literal["intended", "fired", "exposed", "stored", "measured", "unmeasured", "discarded"]
 FrameState = Literal["stored", "set_aside"]
+
+RESULTS_AT_A_TIME = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,12 +197,19 @@ def known_files(journal: Journal, camera: str) -> set[tuple[str, str]]:
     return {(row[0], row[1]) for row in rows}
 
 
-def results(journal: Journal, campaign: str) -> list[ResultRecord]:
-    """A campaign's results in the order in which they were measured."""
-    rows = journal.read(
-        "SELECT campaign, name, envelope, measurements FROM results WHERE campaign = ? ORDER BY number", campaign
-    )
-    return [ResultRecord(row[0], row[1], json.loads(row[2]), json.loads(row[3])) for row in rows]
+def results(journal: Journal, campaign: str) -> Iterator[ResultRecord]:
+    """A campaign's results in the order in which they were measured, a few at a time in memory."""
+    number = 0
+    while rows := journal.read(
+        "SELECT campaign, name, envelope, measurements, number FROM results WHERE campaign = ? AND number > ? "
+        "ORDER BY number LIMIT ?",
+        campaign,
+        number,
+        RESULTS_AT_A_TIME,
+    ):
+        for row in rows:
+            yield ResultRecord(row[0], row[1], json.loads(row[2]), json.loads(row[3]))
+        number = rows[-1][4]
 
 
 def count_campaigns(journal: Journal, state: CampaignState) -> int:

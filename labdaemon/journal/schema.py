@@ -82,6 +82,7 @@ CREATE TABLE results (
     measurements TEXT NOT NULL,
     PRIMARY KEY (campaign, name)
 ) STRICT, WITHOUT ROWID;
+CREATE INDEX results_in_order ON results (campaign, number);
 CREATE TABLE requests (
     request_id TEXT PRIMARY KEY,
     method TEXT NOT NULL,

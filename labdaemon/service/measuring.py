@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from labdaemon.campaign.measuring import Measured
-from labdaemon.journal.frames import sync_folder
+from labdaemon.campaign.measuring import Measured, Rows
+from labdaemon.journal.frames import part_of, seal
 from labdaemon.journal.storage import as_data_error
 from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
-from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, csv_text, write_csv
+from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, csv_text
 
 SHARP_SETS_KEPT = 4
 """Prepared sharp sets in memory: the one in use, the one before it while its last captures are measured, and the first
@@ -42,14 +42,9 @@ class PoolMeasurer:
         result = await asyncio.wrap_future(self._pool.submit(measure_capture, folder, sharp_set, tuple(captures), name))
         return Measured(list(result.envelope_rows), list(result.measurement_rows))
 
-    async def write_results(self, folder: Path, results: Sequence[Measured]) -> None:
-        """Write both result files anew."""
-        await asyncio.to_thread(
-            _write,
-            folder,
-            [dict(row) for result in results for row in result.envelope],
-            [dict(row) for result in results for row in result.measurements],
-        )
+    async def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+        """Write both result files anew, durably."""
+        await asyncio.to_thread(_write, folder, results)
 
     async def append_results(self, folder: Path, result: Measured) -> None:
         """Add one result's rows to both files."""
@@ -79,22 +74,37 @@ def _first_set(folder: Path) -> str | None:
     return min((path.name for path in root.iterdir()), default=None)
 
 
-def _write(folder: Path, envelope: list[Row], measurements: list[Row]) -> None:
-    write_csv(folder / "results" / "envelope.csv", ENVELOPE_COLUMNS, envelope)
-    write_csv(folder / "results" / "measurements.csv", MEASUREMENT_COLUMNS, measurements)
+FILES = (("envelope.csv", ENVELOPE_COLUMNS), ("measurements.csv", MEASUREMENT_COLUMNS))
+
+
+def _write(folder: Path, results: Iterable[Measured]) -> None:
+    paths = [folder / "results" / name for name, _ in FILES]
+    try:
+        with (
+            part_of(paths[0]).open("w", encoding="utf-8") as first,
+            part_of(paths[1]).open("w", encoding="utf-8") as other,
+        ):
+            for file, (_, columns) in zip((first, other), FILES, strict=True):
+                file.write(csv_text(columns, []))
+            for result in results:
+                first.write(_lines(ENVELOPE_COLUMNS, result.envelope))
+                other.write(_lines(MEASUREMENT_COLUMNS, result.measurements))
+    except OSError as exc:
+        raise as_data_error(exc, folder) from exc
+    for path in paths:
+        seal(path)
 
 
 def _append(folder: Path, result: Measured) -> None:
     """Lines at a file's end; a crash halfway is mended from the journal at the next start."""
-    for name, columns, rows in (
-        ("envelope.csv", ENVELOPE_COLUMNS, result.envelope),
-        ("measurements.csv", MEASUREMENT_COLUMNS, result.measurements),
-    ):
+    for (name, columns), rows in zip(FILES, (result.envelope, result.measurements), strict=True):
         path = folder / "results" / name
-        _, _, lines = csv_text(columns, rows).partition("\n")
         try:
-            with path.open("a", encoding="utf-8", newline="") as file:
-                file.write(lines)
-            sync_folder(path.parent)
+            with path.open("a", encoding="utf-8") as file:
+                file.write(_lines(columns, rows))
         except OSError as exc:
             raise as_data_error(exc, path) from exc
+
+
+def _lines(columns: Sequence[str], rows: Rows) -> str:
+    return csv_text(columns, rows).partition("\n")[2]
