@@ -13,6 +13,7 @@ the network with RFC 2217), so one short timeout is set at the start and deadlin
 
 from __future__ import annotations
 
+import errno
 import termios
 import threading
 import time
@@ -134,17 +135,20 @@ class SerialLine:
             port.write(data)
             port.flush()
 
-    def read_some(self, most: int, timeout_s: float) -> bytes:
-        """Bytes that have come or come within `timeout_s`, at most `most`; empty when none did."""
-        deadline = time.monotonic() + timeout_s
-        while True:
-            if self._buffer:
-                taken = bytes(self._buffer[:most])
-                del self._buffer[:most]
-                return taken
-            if time.monotonic() >= deadline:
-                return b""
-            self._fill()
+    def check_open(self) -> None:
+        """Raise `TransportError` if the port is not open."""
+        self._opened()
+
+    def set_rts(self, level: bool) -> None:
+        """Set the RTS line."""
+        with self._faults("setting RTS"):
+            self._opened().rts = level
+
+    def input_line(self, which: Literal["cts", "dsr"]) -> bool:
+        """State of an input line."""
+        with self._faults(f"reading {which.upper()}"):
+            port = self._opened()
+            return bool(port.cts if which == "cts" else port.dsr)
 
     def read_block(self, most: int) -> bytes:
         """What arrives within one tick, in one call: for streams, where a wake-up per byte would cost too much."""
@@ -228,6 +232,8 @@ class SerialLine:
                 device=self.device,
             ) from exc
         except (*OPEN_FAULTS, TypeError, AttributeError) as exc:
+            if isinstance(exc, OSError) and exc.errno == errno.ENOTTY:
+                raise TransportError(f"{self.settings.port} has no such line ({doing})", device=self.device) from exc
             # TypeError and AttributeError: pyserial's own when another thread closes the port during a call
             raise TransportError(
                 f"connection on {self.settings.port} lost while {doing} ({_reason(exc)}); check cable and power",

@@ -18,6 +18,9 @@ DRIVERS = {
     ("labdaemon.triggers", "box"): (
         Trigger, {"port": "/dev/nowhere"}, [("fire", 1.0), ("wait", 0.1), ("heartbeat",), ("drop_enable",)],
     ),
+    ("labdaemon.triggers", "rts"): (
+        Trigger, {"port": "/dev/nowhere"}, [("fire", 1.0), ("wait", 0.1), ("heartbeat",)],
+    ),
     ("labdaemon.cameras", "ptp"): (
         Camera, {"serial": "1"}, [("configure",), ("exposure_steps_s",), ("status",), ("wait_file", 0.1), ("files",)],
     ),

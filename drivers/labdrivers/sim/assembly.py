@@ -19,6 +19,7 @@ from labdrivers.sim.ptp_device import PtpBody
 from labdrivers.sim.render_pool import RenderPool
 from labdrivers.sim.rig import Rig
 from labdrivers.sim.scpi_device import ScpiDevice
+from labdrivers.sim.shutter_cable import ShutterCable
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.trigger_device import TriggerDevice
 from labdrivers.sim.usb_bus import SimulatedBus
@@ -87,7 +88,8 @@ class SimulatedRig:
     Attributes
     ----------
     wires
-        Serial devices by name: ``shaker``, ``trigger``, ``gauge-table``, ``gauge-response``.
+        Serial devices by name: ``shaker``, ``trigger``, ``gauge-table``, ``gauge-response``, and ``shutter``, the
+        cable for a trigger without box.
     bus
         The USB bus with the cameras, by the rig's names.
     """
@@ -111,6 +113,7 @@ class SimulatedRig:
             "trigger": self.trigger,
             "gauge-table": GaugeDevice(self.rig.table_mm, clock=self.clock, seed=1),
             "gauge-response": GaugeDevice(self.rig.response_mm, clock=self.clock, seed=2),
+            "shutter": ShutterCable(bodies, clock=self.clock),
         }
 
     def moving(self) -> bool:

@@ -54,6 +54,14 @@ class WireDevice:
     def detached(self) -> None:
         """Hook: the host is gone."""
 
+    @property
+    def cts(self) -> bool:
+        """Level of the host's CTS and DSR inputs."""
+        return False
+
+    def set_rts(self, level: bool) -> None:
+        """The host's RTS output changed; most devices do not care."""
+
     def receive(self, data: bytes) -> None:
         """Bytes from the host."""
         raise NotImplementedError

@@ -67,7 +67,19 @@ class Serial(SerialBase):
     def _update_dtr_state(self) -> None:
         """No such wire."""
 
-    _update_rts_state = _update_break_state = _update_dtr_state
+    _update_break_state = _update_dtr_state
+
+    def _update_rts_state(self) -> None:
+        """The device sees the line."""
+        if self._device is not None and self.is_open:
+            self._device.set_rts(bool(self.rts))
+
+    @property
+    def cts(self) -> bool:
+        """An input line that the device drives."""
+        return self._device is not None and self._device.cts
+
+    dsr = cts
 
     @property
     def in_waiting(self) -> int:
