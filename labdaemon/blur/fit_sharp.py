@@ -15,11 +15,13 @@ from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.relief import Relief, find_relief, paper_around
 from labdaemon.blur.render import darkness, shifted
 from labdaemon.blur.sharp import Ellipse, Lens, SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, light_level, solve
+from labdaemon.blur.solve import Model, Prior, Solution, light_level, one_step, solve
+from labdaemon.blur.weights import noise_weights
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
+SMEARED_PX2 = 2.0  # one-sided blur of a sharp frame, as a², that is called smeared
 MARGIN_PX = 8  # between a patch and its periodic images
 POOR_CHI2 = 1.8
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
@@ -73,6 +75,8 @@ def fit_sharp(dot: Dot, patches: Sequence[Patch], *, noise: NoiseModel | None = 
     """
     patch, count = average(patches)
     cut = _crop(dot, patch)
+    if min(cut.shape) < 8:
+        return _nothing(dot, patch, noise or NoiseModel(1.0, 0.0), noise is not None, saturated=False)
     area = np.pi * dot.semi_major_px * dot.semi_minor_px
     first = noise if noise is not None else estimate_noise([_crop(dot, one) for one in patches])
     blob = find_blob(cut, np.array([dot.x_px, dot.y_px]), area, None)
@@ -187,10 +191,7 @@ def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solut
         p[COMMON + 1 :: 4] = np.clip(p[COMMON + 1 :: 4], 0.0, 8.0)
         return p
 
-    def weights(signal: FloatArray) -> FloatArray:
-        variance = noise.variance(signal) + (noise.texture * signal) ** 2
-        return np.where(planes.valid, 1 / np.maximum(variance, 1e-12), 0.0)
-
+    weights = noise_weights(noise, planes)
     size = (height * planes.period + MARGIN_PX, width * planes.period + MARGIN_PX)
     model = dot_model(planes, make_grid(size))
     solution = solve(planes, weights, model, start, prior, bound=bound, max_iterations=40)
@@ -198,6 +199,28 @@ def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solut
         model = dot_model(planes, make_grid(size, oversampling=2))
         solution = solve(planes, weights, model, solution.p, prior, bound=bound, light=solution.light)
     return solution, _lens(planes, solution)
+
+
+def smear_px2(planes: Planes, solution: Solution) -> float:
+    """How far the blur of a fitted dot is one-sided: difference of its principal second moments, as a motion's a²."""
+    size = [planes.period * length + MARGIN_PX for length in planes.values.shape[1:]]
+    grid = make_grid((size[0], size[1]))
+    resting = dot_model(planes, grid)
+    lens = _lens(planes, solution)
+    spectra, _ = Ellipse(solution.p[2:5], lens, np.zeros((4, 4))).spectra(grid, planes.channel)
+    own = solution.p[COMMON:].reshape(len(planes.channel), 4)
+    centre = solution.p[:2] + own[:, 2:4].mean(axis=0)
+
+    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        dark, by_rest = resting(solution.p)
+        squares = np.stack((grid.fx**2, 2 * grid.fx * grid.fy, grid.fy**2)) * (-(np.pi**2))
+        by_moment = darkness(shifted(squares[:, None] * spectra, grid, planes, centre), grid, planes)
+        return dark, np.concatenate((by_rest[:5], by_moment))
+
+    start = np.concatenate((solution.p[:5], np.zeros(3)))
+    found = one_step(planes, lambda _: solution.weight, model, start, Prior(start, np.eye(8) * 1e-10), solution.light)
+    values = np.linalg.eigvalsh(np.array([[found.p[5], found.p[6]], [found.p[6], found.p[7]]]))
+    return float(values[1] - values[0])
 
 
 def _lens(planes: Planes, solution: Solution) -> Lens:
@@ -239,7 +262,8 @@ def _target(
     fitted = 0.5 < axes[0] / dot.semi_minor_px < 2 and np.all(np.isfinite(solution.p)) and min(contrast.values()) > 0.02
     if not fitted:
         flags.add(Flag.NOT_FOUND)
-    if solution.chi2 > POOR_CHI2 and known:
+    doubtful = solution.chi2 > (POOR_CHI2 if known else DOUBTFUL_CHI2)
+    if doubtful and (relief is None or smear_px2(planes, solution) > SMEARED_PX2):
         flags.add(Flag.POOR_FIT)
     # The channels' offsets are relative to the target's own centre: on average there is none.
     mean = np.zeros((2, len(solution.p)))

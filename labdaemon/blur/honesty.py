@@ -9,11 +9,13 @@ from labdaemon.blur.mosaic import Planes, interleave
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Solution
+from labdaemon.blur.weights import ceiling_dn
 from labdaemon.flags import Flag
 
 REST_SIGMAS = 3.0
 POOR_CHI2 = 1.35
 BANDS = 8
+LOOSE_PX, LOOSE_PART = 0.1, 0.02  # deviation, in pixels or of the amplitude, that no longer counts as determined
 
 
 def honest_covariance(sharp: SharpTarget, solution: Solution, planes: Planes) -> FloatArray:
@@ -44,11 +46,19 @@ def honest_covariance(sharp: SharpTarget, solution: Solution, planes: Planes) ->
 
 
 def reach_flags(sharp: SharpTarget, best: Solution, a: FloatArray, b: FloatArray) -> set[Flag]:
-    """What the residuals and the smear's reach say."""
-    flags = set()
+    """What the residuals, the smear's reach and the sharp frame say."""
+    flags = set(sharp.flags & {Flag.POOR_FIT})
     if best.chi2 > POOR_CHI2 and sharp.noise_known:
         flags.add(Flag.POOR_FIT)
     reach = float(np.hypot(np.hypot(*a), np.hypot(*b))) + max(sharp.form.half_size_px)
     if reach > sharp.paper_px:
         flags.add(Flag.PAPER_EDGE)
     return flags
+
+
+def sight_flags(planes: Planes, solution: Solution, sd_px: float, size_px: float) -> set[Flag]:
+    """`saturated` where so much is at white level that what is left does not determine the motion."""
+    hidden = float(np.mean(solution.weight == 0))
+    if hidden > 0.2 and ceiling_dn(planes) < np.inf and sd_px > max(LOOSE_PX, LOOSE_PART * size_px):
+        return {Flag.SATURATED}
+    return set()

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from labdaemon.blur.cover import uncovered, why_nothing
 from labdaemon.blur.declared import measure_declared
 from labdaemon.blur.defocus import default_blur
 from labdaemon.blur.known_window import measure_known_window
 from labdaemon.blur.law import DisplacementLaw
-from labdaemon.blur.model import prepare
+from labdaemon.blur.model import Setting, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.whole_cycles import measure_whole_cycles
 from labdaemon.flags import Flag
 
+COVERED_CHI2 = 2.5  # residuals from which something in front is looked for; a motion's own harmonics make less
 WHOLE = 0.005  # cycles from whole below which the window's phase does not show
 PART = 0.05  # cycles from whole above which a model of whole cycles is biased
 
@@ -64,18 +66,19 @@ def measure(
         expected = expected + camera_shift_px
     setting = prepare(sharp, patch, expected)
     if setting is None:
-        return nothing(sharp.name, _why_nothing(patch))
+        return nothing(sharp.name, why_nothing(sharp, patch, expected))
     blur = extra_blur if extra_blur is not None else default_blur(sharp)
-    if law is not None:
-        return measure_declared(sharp, setting, blur, law)
     part = 0.0 if window is None else abs(window.cycles - round(window.cycles))
-    if window is not None and window.phase_rad is not None and part > WHOLE:
-        return measure_known_window(sharp, setting, blur, window, orbit=orbit)
-    flags = {Flag.PART_CYCLES} if part > PART else set()
-    return measure_whole_cycles(sharp, patch, setting, blur, orbit=orbit, flags=flags)
 
+    def fit(setting: Setting) -> Measurement:
+        if law is not None:
+            return measure_declared(sharp, setting, blur, law)
+        if window is not None and window.phase_rad is not None and part > WHOLE:
+            return measure_known_window(sharp, setting, blur, window, orbit=orbit)
+        flags = {Flag.PART_CYCLES} if part > PART else set()
+        return measure_whole_cycles(sharp, patch, setting, blur, orbit=orbit, flags=flags)
 
-def _why_nothing(patch: Patch) -> set[Flag]:
-    if patch.valid.size and np.count_nonzero(patch.valid) < 0.3 * patch.valid.size:
-        return {Flag.SATURATED, Flag.NOT_FOUND}
-    return {Flag.NOT_FOUND}
+    found = fit(setting)
+    if found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags and Flag.POOR_FIT not in sharp.flags:
+        return uncovered(sharp, setting, found, fit)
+    return found

@@ -8,7 +8,7 @@ import numpy as np
 
 from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.motion import ExtraBlur
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.pixels import FloatArray, NoiseModel
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Prior, Solution
 
@@ -35,14 +35,30 @@ def shape_precision(sharp: SharpTarget) -> FloatArray:
 
 
 def pixel_weights(sharp: SharpTarget, planes: Planes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
-    """Inverse variances by the target's noise model."""
-    noise = sharp.noise
+    """Inverse variances by the target's noise model, `scale` times its variance."""
+    return noise_weights(sharp.noise, planes, scale)
+
+
+def noise_weights(noise: NoiseModel, planes: Planes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
+    """From modelled values to inverse variances; 0 for pixels that are masked or may be saturated."""
+    ceiling = ceiling_dn(planes)
 
     def weights(signal: FloatArray) -> FloatArray:
-        variance = (noise.variance(signal) + (noise.texture * signal) ** 2) * scale
-        return np.where(planes.valid, 1 / np.maximum(variance, 1e-12), 0.0)
+        variance = np.maximum((noise.variance(signal) + (noise.texture * signal) ** 2) * scale, 1e-12)
+        # Of pixels that noise lifts over the ceiling only the darker ones would be left: leave out all that might be.
+        below = signal < ceiling - 3 * np.sqrt(variance)
+        return np.where(planes.valid & below, 1 / variance, 0.0)
 
     return weights
+
+
+def ceiling_dn(planes: Planes) -> float:
+    """The value from which pixels of these planes are declared saturated; inf where none is."""
+    if planes.valid.all() or not planes.valid.any():
+        return float("inf")
+    hidden = planes.values[~planes.valid]
+    bright = hidden[hidden >= 0.98 * float(np.max(planes.values[planes.valid]))]
+    return float(np.min(bright)) if bright.size > 0.02 * planes.values.size else float("inf")
 
 
 def noise_scale(sharp: SharpTarget, solution: Solution) -> float:

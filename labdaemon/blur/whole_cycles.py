@@ -9,7 +9,7 @@ import numpy as np
 from labdaemon.blur import shapes
 from labdaemon.blur.axes import moment_axes, moment_matrix, positive, principal
 from labdaemon.blur.gls import weigh_grain
-from labdaemon.blur.honesty import POOR_CHI2, REST_SIGMAS, honest_covariance, reach_flags
+from labdaemon.blur.honesty import POOR_CHI2, REST_SIGMAS, honest_covariance, reach_flags, sight_flags
 from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
 from labdaemon.blur.pixels import FloatArray, Patch
@@ -69,8 +69,10 @@ def measure_whole_cycles(
     flags = flags | reach_flags(sharp, best, a, b)
     size = float(np.hypot(*a))
     along = a / max(size, 1e-12)
+    sd_along = float(np.sqrt(along @ covariance[2:4, 2:4] @ along))
+    flags |= sight_flags(setting.planes, best, min(sd_along, np.sqrt(sd[0])), size)
     # The amplitude shows by its square: it is seen when that exceeds three of its own deviations.
-    sd_square = 2 * size * float(np.sqrt(along @ covariance[2:4, 2:4] @ along))
+    sd_square = 2 * size * sd_along
     rest = lam[0] < REST_SIGMAS * sd[0]
     limit = float(np.hypot(sd_square, max(blur.one_sided_px2, 0.0)))
     if rest or size**2 < REST_SIGMAS * limit:
