@@ -113,7 +113,7 @@ def laboratory(out: Path) -> Iterator[Lab]:
         config = rig.write_files(out, events=free, commands=free, data="daemon")
         log = stack.enter_context((out / "daemon.log").open("w", encoding="utf-8"))
         daemon = _start_daemon(config, log)
-        stack.callback(_end, daemon)
+        stack.callback(_leave_at_rest, rig, daemon, config, log)
         addresses = _addresses(daemon)
         client = stack.enter_context(Client(addresses["commands"], addresses["events"], timeout_s=30.0))
         yield Lab(rig, daemon, client)
@@ -168,6 +168,15 @@ def _addresses(daemon: subprocess.Popen[str]) -> dict[str, str]:
         told = "did not serve in time" if status is None else f"ended with exit status {status}"
         raise DemoFailed(f"the daemon {told}") from None
     return addresses
+
+
+def _leave_at_rest(rig: SimulatedRig, daemon: subprocess.Popen[str], config: Path, log: IO[str]) -> None:
+    """End the daemon; if it left the table moving (it was killed), do what systemd would do after it."""
+    _end(daemon)
+    with contextlib.suppress(OSError, EOFError, ValueError):
+        if rig.table()["moving"]:
+            command = [sys.executable, "-P", "-m", "labdaemon", "safe-stop", str(config)]
+            subprocess.run(command, stdout=log, stderr=log, timeout=END_S, check=False)
 
 
 def _end(daemon: subprocess.Popen[str]) -> None:

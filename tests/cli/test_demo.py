@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 import zmq
 
+from labdaemon.cli import demo_lab
 from labdaemon.cli.demo import THREE_MODES, accuracy_lines, free_folder
 from labdaemon.cli.demo_lab import DemoFailed, laboratory
 from labdaemon.cli.demo_results import check_same_numbers, truth_of, write_truth
@@ -160,6 +161,10 @@ def test_the_whole_demo(tmp_path: Path) -> None:
     page = (folder / "results" / "index.html").read_text()
     assert page.count("<svg") == 2
     assert "http" not in page
+    again = [sys.executable, "-m", "labdaemon", "process", "out", "--out", "again", "--no-overlay"]
+    subprocess.run(again, cwd=tmp_path, check=True, capture_output=True, timeout=120)
+    for name in ("envelope.csv", "measurements.csv"):
+        assert (tmp_path / "again" / name).read_text() == (folder / "results" / name).read_text()
 
 
 @pytest.mark.slow
@@ -179,6 +184,37 @@ def test_interrupted_it_ends_everything_it_started(tmp_path: Path) -> None:
     while any(Path("/proc", pid).exists() for pid in children):
         assert time.monotonic() < deadline, f"still there: {children}"
         time.sleep(0.05)
+
+
+def shake_and_kill(folder: Path) -> None:
+    """Kill the daemon while its table moves."""
+    with laboratory(folder) as lab:
+        pid = lab.client.call("rig")["pid"]
+        lab.client.call("campaign.submit", toml=ONE_MODE)
+        for _ in lab.events():
+            if lab.rig.table()["moving"]:
+                os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_daemon_that_is_killed_leaves_no_moving_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    start, last = demo_lab.simulator("rig"), {}
+
+    def watched() -> Any:
+        rig = start()
+        close = rig.close
+
+        def look_and_close() -> None:
+            last.update(rig.table())
+            close()
+
+        monkeypatch.setattr(rig, "close", look_and_close)
+        return rig
+
+    monkeypatch.setattr(demo_lab, "simulator", lambda name: watched)
+    with pytest.raises(DemoFailed, match="exit status -9"):
+        shake_and_kill(tmp_path)
+    assert last["moving"] is False
 
 
 @pytest.mark.slow
