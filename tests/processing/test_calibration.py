@@ -116,6 +116,7 @@ def test_a_misread_corner_is_named() -> None:
     assert result.left_out[0].startswith(f"3.png: point {pictures[3].names[7]} left out")
 
 
+@pytest.mark.slow
 def test_a_charuco_board_from_its_photographs(charuco_folder: Path) -> None:
     pictures, notes = read_board(board_files(charuco_folder), BOARD)
     assert len(pictures) == 12
@@ -195,6 +196,7 @@ class TestBadInput:
         with pytest.raises(DataError, match=r"0\.jpg: is a JPEG, whose frame is another one"):
             read_board(board_files(tmp_path))
 
+    @pytest.mark.slow
     def test_frames_of_two_sizes(self, charuco_folder: Path, tmp_path: Path) -> None:
         for k in range(5):
             picture = cv2.imread(str(charuco_folder / f"B{k:02d}.png"), cv2.IMREAD_UNCHANGED)
