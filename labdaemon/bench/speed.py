@@ -14,15 +14,16 @@ import rawpy
 
 from labdaemon.bench.simulator import folder_maker
 from labdaemon.blur.frame import measure_frame
-from labdaemon.blur.motion import Start
+from labdaemon.blur.motion import ExtraBlur, Start
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.folder import open_folder
-from labdaemon.processing.frame import measure_frames
+from labdaemon.processing.frame import measure_raw
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
 from labdaemon.processing.sharpset import prepare_sharp
+from labdaemon.processing.shift import frame_shift
 from labdaemon.processing.smears import Smear
 
 T = TypeVar("T")
@@ -91,8 +92,9 @@ def time_frames(place: Path, seed: int, repeat: int) -> SpeedResult:
     window = opened.capture("c1").about.window(camera.name)
     unpack_s = _fastest(repeat, lambda: _unpack(file))
     decode_s = _fastest(repeat, lambda: read_frame(file))
-    whole_s = _fastest(repeat, lambda: measure_frames(camera, [file], [window], control=prepared.control))
-    looked = _Looked.at(camera, read_frame(file))
+    frame = read_frame(file)
+    frame_s = _fastest(repeat, lambda: measure_raw(camera, [frame], [window], control=prepared.control))
+    looked = _Looked.at(camera, frame)
     by_targets = [
         (count, _fastest(repeat, lambda count=count: looked.fit(count)))  # type: ignore[misc]
         for count in (TARGETS // 4, TARGETS // 2, TARGETS)
@@ -108,7 +110,7 @@ def time_frames(place: Path, seed: int, repeat: int) -> SpeedResult:
         targets=len(camera.targets),
         unpack_s=unpack_s,
         decode_s=decode_s,
-        frame_s=whole_s - decode_s,
+        frame_s=frame_s,
         fit_s=by_targets[-1][1],
         by_targets=by_targets,
         by_length=by_length,
@@ -123,11 +125,14 @@ class _Looked:
     camera: PreparedCamera
     frame: RawFrame
     smears: Sequence[Smear]
+    extra_blur: ExtraBlur | None
 
     @classmethod
     def at(cls, camera: PreparedCamera, frame: RawFrame) -> _Looked:
-        found = find_again(frame.grey(), camera.sought)
-        return cls(camera, frame, [smear for smear in found if smear is not None])
+        grey = frame.grey()
+        found = find_again(grey, camera.sought)
+        blur = frame_shift(frame, grey, camera.control).extra_blur
+        return cls(camera, frame, [smear for smear in found if smear is not None], blur)
 
     def fit(self, count: int) -> object:
         """Cut the patches of the first `count` targets and fit them."""
@@ -137,7 +142,7 @@ class _Looked:
             x, y, w, h = (round(float(v)) for v in (*smear.centre_px, *reach))
             patches.append(self.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1))
             starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
-        return measure_frame(self.camera.targets[: len(patches)], patches, starts=starts)
+        return measure_frame(self.camera.targets[: len(patches)], patches, starts=starts, extra_blur=self.extra_blur)
 
 
 def _unpack(file: Path) -> int:
