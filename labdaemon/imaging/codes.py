@@ -118,8 +118,10 @@ def find_tags(frame: RawFrame, family: str = "apriltag-36h11") -> list[Tag]:
     cells = book.markerSize + 2
     found: list[Tag] = []
     for number, rough in _read(frame, book):
+        if any(tag.name == str(number) and _near(tag, rough) for tag in found):
+            continue
         tag = _measure(frame, number, rough, cells)
-        if tag is not None and not any(t.name == tag.name and _near(t, tag) for t in found):
+        if tag is not None:
             found.append(tag)
     found.sort(key=lambda tag: (int(tag.name), tag.centre_px[1], tag.centre_px[0]))
     return found
@@ -142,9 +144,9 @@ def by_name(tags: Sequence[Tag], *, where: str = "the frame") -> dict[str, Tag]:
     return result
 
 
-def _near(one: Tag, other: Tag) -> bool:
-    size = np.hypot(*(one.corners_px[0] - one.corners_px[2]))
-    return bool(np.hypot(*(one.centre_px - other.centre_px)) < size / 4.0)
+def _near(tag: Tag, corners: FloatArray) -> bool:
+    size = np.hypot(*(tag.corners_px[0] - tag.corners_px[2]))
+    return bool(np.hypot(*(tag.centre_px - corners.mean(axis=0))) < size / 4.0)
 
 
 def _read(frame: RawFrame, book: cv2.aruco.Dictionary) -> list[tuple[int, FloatArray]]:

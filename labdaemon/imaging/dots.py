@@ -96,6 +96,10 @@ def find_dots(
     heads and discs on a dark ground.
     """
     grey = frame.grey() if isinstance(frame, RawFrame) else np.ascontiguousarray(frame, dtype=np.float32)
+    bright = float(np.percentile(grey[::5, ::5], 99.5)) if grey.size else 0.0
+    if not 0.0 < bright < np.inf:
+        return []
+    grey = grey / np.float32(bright)  # an underexposed frame is looked at like any other
     checked: list[_Candidate] = []
     for blob in find_blobs(grey, diameter_range_px):
         if not any(_same(blob, c.shape) for c in checked):

@@ -196,3 +196,26 @@ def test_a_dot_has_no_name_yet(canvas: Any) -> None:
     (dot,) = find_dots(sheet.develop(np.random.default_rng(10)))
     assert isinstance(dot, Dot)
     assert dot.name == ""
+
+
+@pytest.mark.parametrize("exposure", [0.01, 0.1, 1.6])
+def test_under_and_overexposed_frames(canvas: Any, exposure: float) -> None:
+    rng = np.random.default_rng(11)
+    sheet = canvas(700, 300, ground=0.25)
+    places = [(x, 150.0) for x in (90.0, 270.0, 450.0, 630.0)]
+    for k, (x, y) in enumerate(places):
+        sheet.box(x - 60, y - 60, 120, 120, 0.85)
+        sheet.ellipse(x, y, 8 + 4 * k, 7 + 4 * k, 20.0, 0.06)
+    light = sheet.develop(rng, noise=0.0, hot=0) * exposure
+    counts = light * 4000 + rng.normal(size=light.shape) * np.sqrt(light * 4000 / 8.5 + 0.7)
+    dots = find_dots(np.clip(counts / 4000, 0, 1).astype(np.float32))
+    assert [d.x_px for d in sorted(dots, key=lambda d: d.x_px)] == pytest.approx([x for x, _ in places], abs=0.35)
+
+
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_noise_is_neither_dot_nor_hides_one(canvas: Any, noise: float) -> None:
+    sheet = canvas(400, 300, ground=0.8)
+    sheet.ellipse(120, 150, 9, 8, 0, 0.05)
+    sheet.ellipse(280, 150, 30, 22, 40, 0.05)
+    dots = find_dots(sheet.develop(np.random.default_rng(12), noise=noise, hot=200))
+    assert len(dots) == 2

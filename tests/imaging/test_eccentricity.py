@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.imaging.eccentricity import centre_shift, ellipse_centre
 from labdaemon.blur.ellipse import fit
+from labdaemon.imaging.eccentricity import centre_shift, ellipse_centre
 
 
 def circle(centre: np.ndarray, normal: np.ndarray, radius: float) -> np.ndarray:
