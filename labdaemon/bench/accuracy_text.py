@@ -28,6 +28,9 @@ def lines(result: AccuracyResult) -> list[str]:
         text += _bands(pooled.ours, result)
     text += ["", _HEAD, *(_row(case) for case in result.cases), ""]
     text += [line for case in result.cases for line in _special(case)]
+    gaussian = next((case for case in result.cases if case.case.key == "gaussian"), None)
+    if pooled is not None and gaussian is not None:
+        text.append(_optics(pooled, gaussian))
     return text
 
 
@@ -101,6 +104,13 @@ def _special(case: CaseResult) -> list[str]:
             f"{100.0 * f.relative_p95:.1f} % (goal 3 %)"
         ]
     return []
+
+
+def _optics(pooled: CaseResult, gaussian: CaseResult) -> str:
+    """How much diffraction costs. The gaussian case has fewer captures, but motions of the same range."""
+    airy, round_ = (figures([pair for pair in case.ours if pair.true_mm >= SEEN_MM]) for case in (pooled, gaussian))
+    ratio = math.hypot(airy.mean_mm, airy.sd_mm) / math.hypot(round_.mean_mm, round_.sd_mm)
+    return f"Diffraction at f/32 against Gaussian optics: rms error {ratio:.2f} x (goal 1.5)"
 
 
 def document(result: AccuracyResult) -> dict[str, Any]:
