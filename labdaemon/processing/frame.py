@@ -13,7 +13,7 @@ from labdaemon.blur.paper import measure_paper
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
-from labdaemon.imaging.frame import RawFrame
+from labdaemon.imaging.frame import Grey, RawFrame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
@@ -106,8 +106,11 @@ def measure_raw(
     method: str = "fit",
 ) -> FrameResult:
     """Measure frames that are already read; otherwise as `measure_frames`."""
-    looks = [_look(camera, frame) for frame in frames]
-    motions = tuple(_camera_motion(camera, look, control) for look in looks)
+    greys = [frame.grey() for frame in frames]
+    shifts = [frame_shift(frame, grey, camera.control) for frame, grey in zip(frames, greys, strict=True)]
+    # First of all: a frame of another camera would only be searched in vain.
+    motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
+    looks = [_look(camera, *each) for each in zip(frames, greys, shifts, strict=True)]
     if method == "paper":
         found = _by_paper(camera, looks)
     elif len(frames) == 1:
@@ -124,9 +127,7 @@ def measure_raw(
     )
 
 
-def _look(camera: PreparedCamera, frame: RawFrame) -> _Look:
-    grey = frame.grey()
-    shift = frame_shift(frame, grey, camera.control)
+def _look(camera: PreparedCamera, frame: RawFrame, grey: Grey, shift: FrameShift) -> _Look:
     if camera.thumbnails:
         smears: list[Smear | None] = []
         for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):
@@ -138,13 +139,15 @@ def _look(camera: PreparedCamera, frame: RawFrame) -> _Look:
     return _Look(frame, shift, find_again(grey, sought))
 
 
-def _camera_motion(camera: PreparedCamera, look: _Look, control: Sequence[ControlPoint]) -> CameraMotion | None:
+def _camera_motion(
+    camera: PreparedCamera, shifted: FrameShift, control: Sequence[ControlPoint], file: Path
+) -> CameraMotion | None:
     """How the camera stood in this frame."""
     if camera.orientation is None:
         return None
     places = {point.name: (point.x_mm, point.y_mm, point.z_mm) for point in control}
     used = {name for name, ok in zip(camera.orientation.names, camera.orientation.used, strict=True) if ok}
-    stills = [still for still in look.shift.stills if still.target in places and still.target in used]
+    stills = [still for still in shifted.stills if still.target in places and still.target in used]
     centres = dict(zip(camera.control.names, camera.control.centres_px, strict=True))
     sharp = np.array([centres[still.target] for still in stills]).reshape(-1, 2)
     shift = np.array([still.shift_px for still in stills]).reshape(-1, 2)
@@ -159,7 +162,7 @@ def _camera_motion(camera: PreparedCamera, look: _Look, control: Sequence[Contro
             sd_px=np.array(sd),
         )
     except DataError as exc:
-        raise DataError(str(exc), file=look.frame.path) from None
+        raise DataError(str(exc), file=file) from None
 
 
 def _moved(shift: FrameShift) -> bool:

@@ -26,6 +26,8 @@ NARROW_RADII = 1.5
 """How far around its place a target is looked for at first, in dot radii."""
 SIZE_STEP = 1.15
 """Ratio between the radii for which filters are made."""
+CLASS_STEP = 1.35
+"""Ratio between the radii that are told apart when a whole frame is searched."""
 STRAIN = 0.25
 """Largest displacement gradient over the structure."""
 SAMPLES = 2000
@@ -159,27 +161,38 @@ def _without_shared(found: Sequence[Smear | None], targets: Sequence[Sought]) ->
 
 def _look_everywhere(small: Reduced, targets: Sequence[Sought]) -> list[Smear | None]:
     """List all smears of the frame, find the displacement field that explains most targets, and assign."""
-    places = np.array([target.centre_px for target in targets])
     smears: list[Smear] = []
-    owner_shapes: list[int] = []
-    shapes_of: dict[int, tuple[Filter, ...]] = {}
-    for target in targets:
-        shapes_of.setdefault(id(small.shapes(target)), small.shapes(target))
-    for key, shapes in shapes_of.items():
-        listed = all_smears(small.picture, small.scale, shapes, LEAST_SCORE)
+    weight = np.zeros((len(targets), 0))
+    for members in _size_classes(targets):
+        typical = sorted(members, key=lambda i: targets[i].semi_minor_px / targets[i].semi_major_px)[len(members) // 2]
+        listed = all_smears(small.picture, small.scale, small.shapes(targets[typical]), LEAST_SCORE)
+        mine = np.zeros((len(targets), len(listed)))
+        for i in members:
+            mine[i] = [smear.score if likely(smear, targets[i]) else 0.0 for smear in listed]
         smears += listed
-        owner_shapes += [key] * len(listed)
+        weight = np.concatenate([weight, mine], axis=1)
     if not smears:
         return [None] * len(targets)
-    weight = np.zeros((len(targets), len(smears)))
-    for i, target in enumerate(targets):
-        key = id(small.shapes(target))
-        for j, smear in enumerate(smears):
-            if owner_shapes[j] == key and likely(smear, target):
-                weight[i, j] = smear.score
+    places = np.array([target.centre_px for target in targets])
     centres = np.array([smear.centre_px for smear in smears])
     chosen = assign(places, centres, weight, least_px=min(target.radius_px for target in targets))
-    return [smears[j] if j >= 0 else None for j in chosen]
+    found: list[Smear | None] = []
+    for target, j in zip(targets, chosen, strict=True):
+        if j < 0:
+            found.append(None)
+            continue
+        reach = target.radius_px / 2
+        closer = best_smear(small.picture, small.scale, smears[j].centre_px, reach, small.shapes(target))
+        found.append(closer if closer is not None and closer.score >= smears[j].score else smears[j])
+    return found
+
+
+def _size_classes(targets: Sequence[Sought]) -> list[list[int]]:
+    """Targets whose sizes are so alike that one set of filters finds them all."""
+    classes: dict[int, list[int]] = {}
+    for index, target in enumerate(targets):
+        classes.setdefault(round(np.log(target.radius_px) / np.log(CLASS_STEP)), []).append(index)
+    return list(classes.values())
 
 
 def assign(places: FloatArray, centres: FloatArray, weight: FloatArray, *, least_px: float) -> NDArray[np.intp]:
