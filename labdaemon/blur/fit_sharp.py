@@ -21,7 +21,7 @@ from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
-SMEARED_PX2 = 2.0  # one-sided blur of a sharp frame, as a², that is called smeared
+SMEARED_PX2, SMEARED_PART = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
 MARGIN_PX = 8  # between a patch and its periodic images
 POOR_CHI2 = 1.8
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
@@ -201,8 +201,8 @@ def _fit(dot: Dot, planes: Planes, noise: NoiseModel, blob: Blob) -> tuple[Solut
     return solution, _lens(planes, solution)
 
 
-def smear_px2(planes: Planes, solution: Solution) -> float:
-    """How far the blur of a fitted dot is one-sided: difference of its principal second moments, as a motion's a²."""
+def _is_smeared(planes: Planes, solution: Solution) -> bool:
+    """Whether a dot that fits badly moved while it was taken: blurred to one side, and badly fitted because of it."""
     size = [planes.period * length + MARGIN_PX for length in planes.values.shape[1:]]
     grid = make_grid((size[0], size[1]))
     resting = dot_model(planes, grid)
@@ -220,7 +220,9 @@ def smear_px2(planes: Planes, solution: Solution) -> float:
     start = np.concatenate((solution.p[:5], np.zeros(3)))
     found = one_step(planes, lambda _: solution.weight, model, start, Prior(start, np.eye(8) * 1e-10), solution.light)
     values = np.linalg.eigvalsh(np.array([[found.p[5], found.p[6]], [found.p[6], found.p[7]]]))
-    return float(values[1] - values[0])
+    step = found.p - start
+    explained = float(step @ np.linalg.pinv(found.covariance, hermitian=True) @ step) / max(solution.cost, 1e-12)
+    return bool(values[1] - values[0] > SMEARED_PX2 and explained > SMEARED_PART)
 
 
 def _lens(planes: Planes, solution: Solution) -> Lens:
@@ -263,7 +265,7 @@ def _target(
     if not fitted:
         flags.add(Flag.NOT_FOUND)
     doubtful = solution.chi2 > (POOR_CHI2 if known else DOUBTFUL_CHI2)
-    if doubtful and (relief is None or smear_px2(planes, solution) > SMEARED_PX2):
+    if doubtful and (relief is None or _is_smeared(planes, solution)):
         flags.add(Flag.POOR_FIT)
     # The channels' offsets are relative to the target's own centre: on average there is none.
     mean = np.zeros((2, len(solution.p)))

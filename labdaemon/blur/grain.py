@@ -81,7 +81,11 @@ def _line(signal: FloatArray, square: FloatArray) -> tuple[float, float]:
     for part in (signal < middle, signal >= middle):
         if np.count_nonzero(part) > 20:
             # A mean with the farthest left out, for hot pixels and dirt.
-            kept = square[part][square[part] <= 16 * np.mean(square[part])]
+            kept = square[part][
+                square[part] <= 16 * max(float(np.mean(square[part])), float(np.median(square[part])), 0.0)
+            ]
+            if kept.size == 0:
+                continue
             points.append((float(np.mean(signal[part])), max(float(np.mean(kept)), 0.0)))
     if not points:
         return 1.0, 0.0

@@ -56,9 +56,9 @@ def reach_flags(sharp: SharpTarget, best: Solution, a: FloatArray, b: FloatArray
     return flags
 
 
-def sight_flags(planes: Planes, solution: Solution, sd_px: float, size_px: float) -> set[Flag]:
+def sight_flags(planes: Planes, sd_px: float, size_px: float) -> set[Flag]:
     """`saturated` where so much is at white level that what is left does not determine the motion."""
-    hidden = float(np.mean(solution.weight == 0))
-    if hidden > 0.2 and ceiling_dn(planes) < np.inf and sd_px > max(LOOSE_PX, LOOSE_PART * size_px):
+    clipped = float(np.mean(planes.values >= ceiling_dn(planes)))
+    if clipped > 0.2 and sd_px > max(LOOSE_PX, LOOSE_PART * size_px):
         return {Flag.SATURATED}
     return set()

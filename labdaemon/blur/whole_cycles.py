@@ -70,7 +70,7 @@ def measure_whole_cycles(
     size = float(np.hypot(*a))
     along = a / max(size, 1e-12)
     sd_along = float(np.sqrt(along @ covariance[2:4, 2:4] @ along))
-    flags |= sight_flags(setting.planes, best, min(sd_along, np.sqrt(sd[0])), size)
+    flags |= sight_flags(setting.planes, min(sd_along, np.sqrt(sd[0])), size)
     # The amplitude shows by its square: it is seen when that exceeds three of its own deviations.
     sd_square = 2 * size * sd_along
     rest = lam[0] < REST_SIGMAS * sd[0]
