@@ -34,6 +34,7 @@ OUTCOMES = {
     "file_vanishes": (None, "no file"),
     "wrong_serial": (TransportError, "no camera with serial"),
     "slow_file": (None, ""),
+    "to_memory": (None, ""),
     "bad_dataset": ((ProtocolError, TransportError), ANY),
     # its USB side
     "silent": (TransportError, "no answer"),
@@ -65,7 +66,7 @@ def a_captures_work(rig, camera, folder):
     camera.configure(exposure_s=exposure_s)
     assert camera.status().battery_percent is not None
     body.release(rig.clock())
-    file = camera.wait_file(3.0)
+    file = camera.wait_file(1.2)
     if file is None:
         return None
     to = folder / file.name
@@ -78,7 +79,8 @@ def a_captures_work(rig, camera, folder):
 
 
 @pytest.mark.parametrize("fault", OUTCOMES)
-def test_a_capture_with_a_fault(rig, make_camera, tmp_path, fault):
+def test_a_capture_with_a_fault(rig, make_camera, tmp_path, monkeypatch, fault):
+    monkeypatch.setattr("labdrivers.ptp.watch.LIST_EVERY_S", 0.4)
     error, words = OUTCOMES[fault]
     usb = rig.bus.cameras["left"]
     switches = usb.body.faults if fault in BODY else usb.faults

@@ -212,6 +212,23 @@ def test_a_body_that_exposes_longer_than_the_deadline_is_waited_for(rig, make_ca
     assert camera.status().battery_percent == 90
 
 
+def test_shots_kept_in_memory_are_each_fetched(rig, camera, tmp_path):
+    """They all have one handle and stand in no list."""
+    body = rig.bus.cameras["left"].body
+    body.faults.inject("to_memory")
+    names = []
+    for turn in range(3):
+        shoot(rig)
+        file = camera.wait_file(5.0)
+        camera.download(file, tmp_path / str(turn))
+        if turn != 1:
+            camera.delete(file)
+        names.append(file.name)
+        time.sleep(0.15)
+    assert names == ["DSC_0001.DNG", "DSC_0002.DNG", "DSC_0003.DNG"]
+    assert camera.files() == []
+
+
 def test_two_cameras_work_side_by_side(rig, make_camera, tmp_path):
     cameras = {name: make_camera(serial) for name, serial in (("left", "6000001"), ("right", "6000002"))}
     found = {}

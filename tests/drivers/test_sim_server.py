@@ -90,6 +90,7 @@ def test_faults_and_plugs_from_outside(running, devices, eventually):
             running.control.ask(**nonsense)
 
 
+@pytest.mark.slow
 def test_a_host_that_dies_lets_go_of_its_cameras(running, eventually):
     program = (
         "import json,sys,time; from labdrivers.ptp.camera import PtpCamera; "
@@ -115,6 +116,7 @@ def connects(camera):
         return False
 
 
+@pytest.mark.slow
 def test_the_table_moves_on_when_the_host_is_gone(running, make_shaker, eventually):
     """And with it the enable line falls: what a dead computer leaves behind comes to rest by itself."""
     shaker = make_shaker(running.addresses.ports["shaker"])
@@ -151,6 +153,7 @@ def test_the_rig_file_is_rewritten_to_its_ports(running):
     assert rig["trigger"]["port"] == "x"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["signal", "parent", "quit"])
 def test_it_ends(end, eventually):
     keeper = (
@@ -189,6 +192,7 @@ def test_the_program_explains_itself():
     assert "--small" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_simulator_that_is_gone_is_a_transport_error(make_shaker):
     with start(small=True) as rig:
         camera = PtpCamera("left", camera_settings(rig))

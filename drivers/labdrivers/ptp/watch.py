@@ -122,6 +122,8 @@ class FileWatch:
             return
         if event[0] == EventCode.STORE_FULL:
             raise DeviceRefused("card full: empty it or change it", device=self._session.device)
+        if event[0] == EventCode.NIKON_ADDED_IN_SDRAM:
+            self._files.pop(event[1], None)  # memory's one place has one handle, for each shot the same
         self._candidates.append(event[1])
 
     def _compare_list(self) -> None:

@@ -14,6 +14,7 @@ FORMAT_FOLDER, FORMAT_FILE = 0x3001, 0x3000
 DCIM, FIRST_FOLDER, FIRST_FILE = 0x10000001, 0x10000064, 0x20000001
 NO_PARENT = 0
 FILES_A_FOLDER = 9999
+MEMORY_HANDLE = 0xFFFF0001
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +83,22 @@ class Card:
             self._objects[handle] = CardObject(handle, FORMAT_FILE, name, len(content), folder, stamp, path)
             return [*new, handle]
 
-    def handles(self) -> list[int]:
-        """All handles, folders included."""
+    def hold(self, content: bytes, captured_at: str) -> int:
+        """Keep a file in the body's memory instead: one place, in no list, taken by the next."""
         with self._lock:
-            return list(self._objects)
+            self._next += 1
+            path = self._directory / "memory"
+            path.write_bytes(content)
+            name = f"DSC_{self._next:04d}{self._suffix}"
+            self._objects[MEMORY_HANDLE] = CardObject(
+                MEMORY_HANDLE, FORMAT_FILE, name, len(content), NO_PARENT, captured_at, path
+            )
+            return MEMORY_HANDLE
+
+    def handles(self) -> list[int]:
+        """All handles of the card, folders included."""
+        with self._lock:
+            return [handle for handle in self._objects if handle != MEMORY_HANDLE]
 
     def get(self, handle: int) -> CardObject | None:
         """The object behind a handle."""
@@ -114,4 +127,5 @@ class Card:
             return self._free()
 
     def _free(self) -> int:
-        return self.capacity_bytes - sum(item.size_bytes for item in self._objects.values())
+        on_card = (item.size_bytes for handle, item in self._objects.items() if handle != MEMORY_HANDLE)
+        return self.capacity_bytes - sum(on_card)

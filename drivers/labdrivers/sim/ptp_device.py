@@ -38,6 +38,7 @@ FAULTS = {
     "short_partial": "sends half of what GetPartialObject asks",
     "file_vanishes": "says bad handle to every question about a file",
     "wrong_serial": "reports another serial number",
+    "to_memory": "keeps its shots in memory, one at a time, as with the host as their medium",
     "slow_file": "takes `value` seconds longer to write a file (default 3)",
     "bad_dataset": "cuts its datasets short",
 }
@@ -131,6 +132,9 @@ class PtpBody:
             delay = self.faults.value("slow_file", 3.0)
             self.faults.strike("slow_file")
             time.sleep(delay)
+        if self.faults.is_on("to_memory"):
+            self._tell(EventCode.NIKON_ADDED_IN_SDRAM, self.card.hold(content, stamp))
+            return
         try:
             if self.faults.strike("card_full"):
                 raise CardFull
