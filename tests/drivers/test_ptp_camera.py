@@ -268,3 +268,50 @@ def test_wrong_settings(changes, key):
 
 def test_keys_of_others_are_left_alone():
     PtpCamera("c", {"driver": "ptp", "serial": "1", "exposure_s": 1.0, "focal_px": [1, 1], "image_size": [1, 1]})
+
+
+class TestPowerCycle:
+    @pytest.fixture
+    def relay(self, rig, tmp_path):
+        """A relay that gives the left camera its power back when a file appears, and counts."""
+        mark, stop, count = tmp_path / "relay", threading.Event(), []
+
+        def watch():
+            while not stop.wait(0.02):
+                if mark.exists():
+                    mark.unlink()
+                    count.append(1)
+                    rig.bus.cameras["left"].faults.clear()
+                    rig.bus.unplug("left")
+                    rig.bus.plug("left")
+
+        thread = threading.Thread(target=watch)
+        thread.start()
+        yield mark, count
+        stop.set()
+        thread.join()
+
+    def test_a_dead_body_comes_back(self, rig, make_camera, relay):
+        mark, count = relay
+        command = ["touch", str(mark)]
+        camera = make_camera(power_cycle=command, wakes_after_s=5.0, timeout_s=0.3)
+        assert count == []  # a body that answers keeps its power
+        rig.bus.cameras["left"].faults.inject("silent")
+        with pytest.raises(TransportError):
+            camera.status()
+        camera.connect()
+        assert camera.status().battery_percent == 90
+        assert count == [1]
+        rig.bus.cameras["left"].faults.inject("silent")
+        with pytest.raises(TransportError):
+            camera.connect()  # not again so soon
+        assert count == [1]
+
+    @pytest.mark.parametrize(
+        ("command", "words"), [(["false"], "status 1"), (["/no/such/relay"], "No such file"), (["true"], "no camera")]
+    )
+    def test_a_hook_that_does_not_help(self, rig, make_camera, command, words):
+        rig.bus.unplug("left")
+        camera = make_camera(power_cycle=command, wakes_after_s=0.1, timeout_s=0.3, connect=False)
+        with pytest.raises((DeviceRefused, TransportError), match=words):
+            camera.connect()

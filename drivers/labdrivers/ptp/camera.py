@@ -7,6 +7,7 @@ told. After a fault, `connect` again: files that came meanwhile are still news.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,7 @@ from labdrivers.ptp.events import EventListener
 from labdrivers.ptp.exposure import describe, exposure_times, set_exposure, set_nearest
 from labdrivers.ptp.find import load_backend, open_camera
 from labdrivers.ptp.objects import fetch, free_bytes
+from labdrivers.ptp.power_cycle import PowerCycle
 from labdrivers.ptp.session import PtpRefused, PtpSession
 from labdrivers.ptp.transport import UsbPipe
 from labdrivers.ptp.watch import FileWatch
@@ -31,6 +33,7 @@ OTHERS_KEYS = frozenset(
     {"driver", "exposure_s", "f_number", "iso", "image_size", "focal_px", "principal_point_px", "distortion"}
 )
 """Keys of a camera's section that are not for its driver."""
+WAKE_POLL_S = 0.25
 
 
 class PtpSettings(Settings):
@@ -40,6 +43,10 @@ class PtpSettings(Settings):
     backend: str = "libusb"
     backend_url: str | None = None
     timeout_s: float = Field(default=10.0, gt=0, le=120)
+    power_cycle: tuple[str, ...] = ()
+    """Command that takes the camera's power away and gives it back, run when it does not answer `connect`."""
+    wakes_after_s: float = Field(default=10.0, ge=0, le=120)
+    """How long the body may take after that until it is on the bus."""
 
 
 class PtpCamera:
@@ -64,6 +71,7 @@ class PtpCamera:
         self._watch: FileWatch | None = None
         self._known: set[tuple[str, str]] | None = None
         self._lock = threading.RLock()
+        self._power_cycle = PowerCycle(name, self._settings.power_cycle)
 
     def connect(self) -> CameraInfo:
         """Find the body by its serial number and open a session; an earlier one is closed first.
@@ -75,12 +83,14 @@ class PtpCamera:
         ------
         TransportError
             The camera is not on the bus, or does not answer.
+        DeviceRefused
+            It does not, and the `power_cycle` command failed.
         """
         self.close()
         settings = self._settings
         backend = load_backend(settings.backend, settings.backend_url, key=f"cameras.{self.name}.backend")
         with self._lock, self._parsing():
-            self._pipe, self._session = open_camera(self.name, settings.serial, backend, timeout_s=settings.timeout_s)
+            self._pipe, self._session = self._open(backend)
             try:
                 self._events = EventListener(self._pipe)
                 self._events.start()
@@ -91,6 +101,24 @@ class PtpCamera:
                 self.close()
                 raise
         return CameraInfo(info.manufacturer, info.model, info.serial)
+
+    def _open(self, backend: Any) -> tuple[UsbPipe, PtpSession]:
+        """Find and open the body; one that stays dead gets its power cycled, if there is a hook and not too often."""
+        settings = self._settings
+        try:
+            return open_camera(self.name, settings.serial, backend, timeout_s=settings.timeout_s)
+        except (TransportError, ProtocolError):
+            if not self._power_cycle.due():
+                raise
+        self._power_cycle.run()
+        deadline = time.monotonic() + settings.wakes_after_s
+        while True:
+            try:
+                return open_camera(self.name, settings.serial, backend, timeout_s=settings.timeout_s)
+            except (TransportError, ProtocolError):
+                if time.monotonic() >= deadline:
+                    raise
+            time.sleep(WAKE_POLL_S)
 
     def close(self) -> None:
         """End the session and release the interface; harmless in every state."""

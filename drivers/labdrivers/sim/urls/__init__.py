@@ -1,0 +1,1 @@
+"""The package in which pyserial looks for the handler of ``sim://`` (see `protocol_sim`)."""
