@@ -25,7 +25,7 @@ GREETING_PAUSE_S = 0.02
 BATCH = 256
 """Events read from the outbox at a time."""
 MAX_REPLAY = 1000
-MAX_REPLAY_BYTES = 1 << 20
+MAX_REPLAY_BYTES = 4 << 20
 """An answer stays below this, so that a client far behind asks several times instead of choking the daemon once."""
 
 
