@@ -21,8 +21,8 @@ from labdaemon.errors import DataError
 
 FloatArray = NDArray[np.float64]
 
-TIFF_MAGICS = (b"II*\0", b"MM\0*", b"IIRO", b"IIRS", b"IIU\0", b"II+\0", b"MM\0+")
-"""First four bytes of TIFF and of the makers' variants of it."""
+TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First four bytes of TIFF and BigTIFF; makers' variants of them are LibRaw's alone."""
 
 _CFA, _LINEAR_RAW = 32803, 34892
 
@@ -131,11 +131,6 @@ def _black(page: Any) -> BlackTags | None:
     )
 
 
-def _exif(page: Any) -> dict[str, Any]:
-    value = _value(page, 34665)
-    return value if isinstance(value, dict) else {}
-
-
 def _moment(text: object) -> datetime | None:
     try:
         return datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")
@@ -144,37 +139,54 @@ def _moment(text: object) -> datetime | None:
 
 
 def read_tags(path: Path) -> FileTags:
-    """Read the tags of a TIFF-like file and check that all its pictures lie inside it.
+    """Read the tags of a TIFF-like file and check that its picture lies inside it.
+
+    A directory that cannot be read is left to LibRaw to judge: makers take liberties with it.
 
     Raises
     ------
     DataError
-        The file is cut short, or its directory cannot be read.
+        The file is cut short.
     """
     size = path.stat().st_size
     try:
         with tifffile.TiffFile(path) as tif:
             pages = list(_walk(tif.pages))
-            for page in pages:
-                ends = [o + c for o, c in zip(page.dataoffsets, page.databytecounts, strict=False)]
-                if ends and max(ends) > size:
-                    raise DataError(
-                        f"the file is truncated: {size} bytes, its pixels need {max(ends)}; fetch it again", file=path
-                    )
-            if not pages:
-                raise DataError("the file is truncated: no picture in it; fetch it again", file=path)
-            main = [p for p in pages if int(p.photometric or 0) in (_CFA, _LINEAR_RAW)]
-            first = pages[0]
-            exif = _exif(first)
-            exposure = exif.get("ExposureTime") or _value(first, 33434)
-            return FileTags(
-                is_raw=bool(main) or any(code in first.tags for code in (50706, 330, 37400)),
-                black=_black(max(main, key=lambda p: p.imagewidth * p.imagelength)) if main else None,
-                taken_at=_moment(exif.get("DateTimeOriginal") or _value(first, 36867) or _value(first, 306)),
-                serial=str(exif.get("BodySerialNumber") or _value(first, 50735) or _value(first, 42033) or "").strip(),
-                exposure_s=float(Fraction(*exposure)) if isinstance(exposure, tuple) and exposure[1] else None,
-            )
-    except DataError:
-        raise
-    except Exception as exc:  # a damaged directory fails in as many ways as there are tags
-        raise DataError(f"cannot read its directory ({exc}); the file is damaged, fetch it again", file=path) from exc
+            main = [page for page in pages if int(page.photometric or 0) in (_CFA, _LINEAR_RAW)]
+            ends = [_end(page) for page in main or pages]
+            needed = max(ends, default=size + 1)
+            raw = bool(main) or (bool(pages) and _camera(pages[0]))
+            black = _black(max(main, key=lambda page: int(page.imagewidth * page.imagelength))) if main else None
+            shot = _shot(pages[0]) if pages else {}
+    except Exception:  # a strange directory fails in as many ways as there are tags
+        return FileTags(is_raw=True)
+    if needed > size:
+        raise DataError(
+            f"the file is truncated: it has {size} bytes, its picture needs {needed}; fetch it again", file=path
+        )
+    return FileTags(is_raw=raw, black=black, **shot)
+
+
+def _end(page: Any) -> int:
+    """Byte behind the last of a page's pixels."""
+    return max((int(o) + int(c) for o, c in zip(page.dataoffsets, page.databytecounts, strict=False)), default=0)
+
+
+def _camera(page: Any) -> bool:
+    """Whether a file whose pages do not say so is a camera's own: a maker's name on anything but a grey picture."""
+    return 50706 in page.tags or (271 in page.tags and int(page.photometric or 0) not in (0, 1))
+
+
+def _shot(page: Any) -> dict[str, Any]:
+    """When, by which body and how long, as far as it can be read."""
+    try:
+        exif = _value(page, 34665)
+        exif = exif if isinstance(exif, dict) else {}
+    except Exception:  # a damaged Exif directory costs its content, not the frame
+        exif = {}
+    exposure = exif.get("ExposureTime") or _value(page, 33434)
+    return {
+        "taken_at": _moment(exif.get("DateTimeOriginal") or _value(page, 36867) or _value(page, 306)),
+        "serial": str(exif.get("BodySerialNumber") or _value(page, 50735) or _value(page, 42033) or "").strip(),
+        "exposure_s": float(Fraction(*exposure)) if isinstance(exposure, tuple) and exposure[1] else None,
+    }

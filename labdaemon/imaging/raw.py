@@ -80,7 +80,7 @@ def _raw(path: Path, tags: FileTags) -> RawFrame:
         text = exc.args[0].decode() if exc.args and isinstance(exc.args[0], bytes) else str(exc)
         reason = text[:1].lower() + text[1:]
         raise DataError(f"LibRaw cannot read it ({reason}); it is damaged or not a RAW file", file=path) from exc
-    if linear is not None and min(linear) > float(black.max()):
+    if linear is not None and min(linear) > 0.5 * white:  # smaller ones are makers' tags misread
         white = min(white, float(min(linear)))
     if white <= float(black.max()):
         raise DataError(f"its white level {white:g} lies below its black level {black.max():g}", file=path)
