@@ -1,14 +1,17 @@
 """Commands in: one JSON-RPC request a message, each answered once, whatever else is going on.
 
 Hostile or broken peers cost a bounded amount: frames beyond 1 MiB end the connection, what is no request is answered
-with the reason, and no more than `MAX_IN_HAND` commands are worked on at a time (`stop` is always let through).
+with the reason, and no more than `MAX_IN_HAND` commands are worked on at a time, `MAX_OF_ONE` of them one client's
+(`stop` is always let through).
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Any, Protocol
 
 import zmq
@@ -26,6 +29,7 @@ IDEMPOTENT = frozenset({"campaign.submit", "capture"})
 """Commands that take a ``request_id``."""
 ALWAYS = frozenset({"stop"})
 MAX_IN_HAND = 64
+MAX_OF_ONE = 16
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +78,7 @@ class CommandServer:
         self._requests = requests or MemoryRequests()
         self._under_way: dict[str, asyncio.Future[Any]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._in_hand: Counter[bytes] = Counter()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
 
@@ -119,13 +124,22 @@ class CommandServer:
         except BadRequest as exc:
             await socket.send_multipart([*envelope, messages.error_bytes(exc.code, str(exc), exc.id)])
             return
-        if len(self._tasks) >= MAX_IN_HAND and request.method not in ALWAYS:
+        client = envelope[0]
+        is_full = len(self._tasks) >= MAX_IN_HAND or self._in_hand[client] >= MAX_OF_ONE
+        if is_full and request.method not in ALWAYS:
             answer = messages.error_bytes(messages.BUSY, "too many commands at once; try again", request.id)
             await socket.send_multipart([*envelope, answer])
             return
         task = asyncio.create_task(self._answer(socket, envelope, request))
         self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._in_hand[client] += 1
+        task.add_done_callback(partial(self._forget, client))
+
+    def _forget(self, client: bytes, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        self._in_hand[client] -= 1
+        if not self._in_hand[client]:
+            del self._in_hand[client]
 
     async def _answer(self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request) -> None:
         try:

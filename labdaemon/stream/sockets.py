@@ -18,8 +18,8 @@ MAX_FRAME_BYTES = 1 << 20
 EVENTS_HIGH_WATER = 1000
 """Events kept for a subscriber that does not read; it then loses some, notices by `seq` and asks for them again."""
 ANSWERS_HIGH_WATER = 128
-"""Answers kept for a client that asks and does not read; the next ones are dropped. Twice the commands in hand, so that
-who sends as many at once as are taken gets all its answers."""
+"""Answers kept for a client that asks and does not read; the next ones are dropped. Far more than a
+client's commands in hand, so that who sends as many at once as are taken gets all its answers."""
 LINGER_MS = 500
 """How long a closing socket tries to deliver what it still has."""
 

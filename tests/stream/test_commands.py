@@ -13,7 +13,7 @@ import zmq
 import zmq.asyncio
 
 from labdaemon.errors import ConfigError, InterlockError, LimitError, TransportError, UsageError
-from labdaemon.stream.commands import MAX_IN_HAND, CommandServer
+from labdaemon.stream.commands import MAX_IN_HAND, MAX_OF_ONE, CommandServer
 from labdaemon.stream.messages import Busy, Forbidden, NotFound, WrongState
 
 
@@ -242,13 +242,39 @@ async def test_a_failure_may_be_tried_again_under_its_id(lab: Lab, dealer: zmq.a
 
 
 async def test_a_flood_is_refused_but_stop_gets_through(lab: Lab, dealer: zmq.asyncio.Socket) -> None:
-    for number in range(MAX_IN_HAND + 10):
+    for number in range(MAX_OF_ONE + 10):
         await dealer.send_json({"jsonrpc": "2.0", "id": number, "method": "slow"})
     refused = [await receive(dealer) for _ in range(10)]
     assert {answer["error"]["code"] for answer in refused} == {-32000}
     assert "result" in await ask(dealer, "stop", "halt")
     lab.gate.set()
-    assert {(await receive(dealer))["result"] for _ in range(MAX_IN_HAND)} == {"done"}
+    assert {(await receive(dealer))["result"] for _ in range(MAX_OF_ONE)} == {"done"}
+    assert (await ask(dealer, "slow", "again"))["result"] == "done"
+
+
+async def test_one_clients_flood_leaves_room_for_others_until_all_is_full(lab: Lab) -> None:
+    with zmq.asyncio.Context() as context:
+        dealers = [context.socket(zmq.DEALER) for _ in range(MAX_IN_HAND // MAX_OF_ONE + 1)]
+        for place, dealer in enumerate(dealers):
+            dealer.set(zmq.LINGER, 0)
+            dealer.connect(lab.server.address)
+            assert ("error" in await ask(dealer, "echo")) == (place == len(dealers) - 1)
+            for number in range(MAX_OF_ONE):
+                await dealer.send_json({"jsonrpc": "2.0", "id": number, "method": "slow"})
+            if place < len(dealers) - 1:
+                assert (await ask(dealer, "echo", "full"))["error"]["code"] == -32000
+        assert "result" in await ask_past_refusals(dealers[-1], "stop")
+        lab.gate.set()
+        for dealer in dealers:
+            dealer.close()
+
+
+async def ask_past_refusals(dealer: zmq.asyncio.Socket, method: str) -> dict[str, Any]:
+    """The answer to this question, after those to earlier ones."""
+    await dealer.send_json({"jsonrpc": "2.0", "id": method, "method": method})
+    while (answer := await receive(dealer))["id"] != method:
+        assert answer["error"]["code"] == -32000
+    return answer
 
 
 async def test_a_second_daemon_on_the_address_is_told_so(lab: Lab) -> None:
