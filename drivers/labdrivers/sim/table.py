@@ -100,17 +100,18 @@ class History:
     intervals: tuple[Interval, ...] = field(default=())
 
     def _split(self, t: FloatArray) -> list[tuple[Interval, slice]]:
-        """Cut sorted times at the commands. Times before the first belong to it with nothing moving."""
-        cuts = np.searchsorted(t, [interval.start_s for interval in self.intervals[1:]], side="left")
+        """Cut ascending times at the commands. Times before the first belong to it, with nothing moving yet."""
+        during = self.window(float(t[0]), float(t[-1])).intervals
+        cuts = np.searchsorted(t, [interval.start_s for interval in during[1:]], side="left")
         edges = [0, *cuts.tolist(), t.size]
-        pairs = zip(self.intervals, edges[:-1], edges[1:], strict=True)
+        pairs = zip(during, edges[:-1], edges[1:], strict=True)
         return [(interval, slice(lo, hi)) for interval, lo, hi in pairs if hi > lo]
 
     def evaluate(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Table displacement (n,) and modal coordinates (modes, n) at ascending times, mm."""
         times = np.asarray(t, float)
         table, q = np.zeros(times.size), np.zeros((len(self.modes), times.size))
-        if self.intervals:
+        if self.intervals and times.size:
             for interval, part in self._split(times):
                 elapsed = np.maximum(times[part] - interval.start_s, 0.0)
                 state = interval.state
@@ -121,18 +122,16 @@ class History:
 
     def at(self, t: float) -> Interval | None:
         """The command in force at `t`."""
-        index = bisect_right([interval.start_s for interval in self.intervals], t) - 1
+        index = self._last(t)
         return self.intervals[index] if index >= 0 else None
 
     def window(self, start_s: float, end_s: float) -> History:
         """Only what matters between two times (small enough to send to another process)."""
-        keep = [
-            interval
-            for index, interval in enumerate(self.intervals)
-            if interval.start_s <= end_s
-            and (index + 1 == len(self.intervals) or self.intervals[index + 1].start_s > start_s)
-        ]
-        return History(self.modes, tuple(keep))
+        return History(self.modes, self.intervals[max(self._last(start_s), 0) : max(self._last(end_s), 0) + 1])
+
+    def _last(self, t: float) -> int:
+        """Index of the last command not after `t`, -1 before the first."""
+        return bisect_right(self.intervals, t, key=lambda interval: interval.start_s) - 1
 
     def then(self, t: float, spec: TableSpec, *, frequency_hz: float, level_v: float, phase_rad: float) -> History:
         """History with one more command: a sine of `level_v` volts (zero to peak) whose phase at `t` is `phase_rad`."""
