@@ -67,6 +67,22 @@ def test_groups_share_a_motion_and_amplitudes_keep_their_range(tmp_path: Path) -
         assert axes[:, 1] == pytest.approx(0.0)
 
 
+def test_three_cameras_see_every_target_and_light_and_things_in_the_way_are_as_asked(tmp_path: Path) -> None:
+    folder = make_folder(
+        tmp_path / "set", seed=6, cameras=3, targets=6, occluded=2, white_dn=5200.0, pattern="GBRG", tell="nothing"
+    )
+    rig = tomllib.loads((folder / "rig.toml").read_text())
+    assert list(rig["cameras"]) == ["left", "right", "top"]
+    for name in rig["cameras"]:
+        for kind, clipped in (("sharp", False), ("captures/c1", True)):
+            with rawpy.imread(str(folder / kind / f"{name}.dng")) as raw:
+                letters = "".join(raw.color_desc.decode()[i] for i in raw.raw_pattern.ravel())
+                assert letters == "GBRG"
+                share = np.mean(raw.raw_image_visible == 4095)
+                assert (share > 0.002) == clipped
+    assert not list(folder.glob("captures/*/capture.toml"))
+
+
 def test_the_same_seed_is_the_same_folder(tmp_path: Path) -> None:
     one, two = (make_folder(tmp_path / n, seed=5, cameras=1, targets=4) for n in "ab")
     for file in sorted(p for p in one.rglob("*") if p.is_file()):
