@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import socket
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Generator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
@@ -13,7 +15,7 @@ from uuid import uuid4
 import click
 
 from labdaemon.errors import UsageError
-from labdaemon.stream.client import COMMANDS, Client, JournalChanged, NoDaemon
+from labdaemon.stream.client import COMMANDS, Client, EventStream, JournalChanged, NoDaemon
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 STOP_TIMEOUT_S = 15.0
@@ -130,25 +132,51 @@ def stop(address: str, as_json: bool) -> None:
 @click.option("--events", "events_address", metavar="TCP", help="The events address; by default the daemon is asked.")
 @click.option("--after", type=click.IntRange(min=0), help="Begin after this event of the journal.")
 @click.option("--until-end", is_flag=True, help="Leave when the campaign ends; exit 0 only if it completed.")
+@click.option(
+    "--patience",
+    type=click.FloatRange(min=1.0),
+    default=60.0,
+    show_default=True,
+    metavar="S",
+    help="How long the daemon may be silent, as while it is started again, before this gives up.",
+)
 @address_options
-def watch(events_address: str | None, after: int | None, until_end: bool, address: str, as_json: bool) -> None:
+def watch(
+    events_address: str | None, after: int | None, until_end: bool, patience: float, address: str, as_json: bool
+) -> None:
     """Follow the daemon's events: step, capture, time left, largest amplitude, faults."""
     from labdaemon.cli.progress import Progress
 
     if events_address is None:
         events_address = ask(address, "rig")["service"]["events"]
-    with Client(address, events_address) as client, Progress(plain=as_json) as progress:
-        stream = client.events(after=after)
-        while True:
-            try:
-                event = next(stream)
-            except JournalChanged as exc:
-                click.echo(f"labdaemon: {exc}", err=True)
-                stream = client.events(after=0)
-                continue
+    with (
+        Client(address, events_address) as client,
+        Progress(plain=as_json) as progress,
+        closing(_follow(client, after, patience)) as events,
+    ):
+        for event in events:
             if as_json:
                 click.echo(json.dumps(event))
             else:
                 progress.show(event)
             if until_end and event["kind"] in ENDED:
                 sys.exit(ENDED[event["kind"]])
+
+
+def _follow(client: Client, after: int | None, patience_s: float) -> Generator[dict[str, Any], None, None]:
+    """Events in order, through restarts of the daemon and changes of its journal."""
+    heard_s = time.monotonic()
+    with closing(EventStream(client, after=after)) as stream:
+        while True:
+            try:
+                event = stream.receive(1.0)
+            except JournalChanged as exc:
+                click.echo(f"labdaemon: {exc}", err=True)
+                continue
+            except NoDaemon:  # it went away between an event and the replay of those before it
+                event = None
+            if event is not None:
+                heard_s = time.monotonic()
+                yield event
+            elif time.monotonic() > heard_s + patience_s:
+                raise NoDaemon(f"nothing from {client.events_address} for {patience_s:g} s: has the daemon ended?")

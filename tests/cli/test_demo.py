@@ -131,6 +131,7 @@ def demo(*args: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
+@pytest.mark.slow
 def test_a_campaign_beyond_the_rig_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "far.toml").write_text(ONE_MODE.replace("0.5", "50.0"))
     with demo("--out", "out", "--campaign", "far.toml", cwd=tmp_path) as process:

@@ -16,7 +16,10 @@ def helps(command: click.Command, path: tuple[str, ...]) -> list[tuple[str, ...]
     if not isinstance(command, click.Group):
         return [path]
     context = click.Context(command)
-    return [path, *(found for name in command.list_commands(context) for found in members(command, context, name, path))]
+    return [
+        path,
+        *(found for name in command.list_commands(context) for found in members(command, context, name, path)),
+    ]
 
 
 def members(group: click.Group, context: click.Context, name: str, path: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -234,6 +234,15 @@ def test_watch_as_json_prints_events_as_they_came(run: Any) -> None:
     assert seqs == list(range(1, len(HISTORY) + 1))
 
 
+def test_watch_gives_up_when_the_daemon_has_ended(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent = ["--events", "tcp://127.0.0.1:9", "--address", "tcp://127.0.0.1:9", "--patience", "1"]
+    status, out, err = labdaemon(monkeypatch, capsys, "watch", *silent)
+    assert (status, out) == (1, "")
+    assert err == "labdaemon: nothing from tcp://127.0.0.1:9 for 1 s: has the daemon ended?\n"
+
+
 @pytest.mark.parametrize("command", ["status", "pause", "stop", "watch", "capture"])
 def test_no_daemon_is_one_line_at_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
