@@ -108,7 +108,7 @@ class Service:
 def following(client: Client, **options: Any) -> Iterator[EventStream]:
     """A stream that has seen its first message."""
     stream = EventStream(client, **options)
-    first = stream.receive(5)
+    first = stream.receive(20)
     assert first is not None
     yield stream
     stream.close()
@@ -118,7 +118,7 @@ def take(stream: EventStream, count: int) -> list[int]:
     """`seq` of the next events, statuses left out."""
     seqs: list[int] = []
     while len(seqs) < count:
-        event = stream.receive(5)
+        event = stream.receive(20)
         assert event is not None, f"silent after {seqs}"
         if event["kind"] != "status":
             seqs.append(event["seq"])
@@ -201,6 +201,23 @@ def test_another_journal_is_noticed_and_followed_from_its_beginning() -> None:
         with pytest.raises(JournalChanged, match="journal-2"):
             take(stream, 1)
         assert take(stream, 2) == [1, 2]
+
+
+def test_a_stream_goes_on_through_a_restart_of_the_daemon() -> None:
+    outbox = ListOutbox(count=1)
+    with Service(outbox) as before:
+        client = before.client()
+        stream = EventStream(client)
+        assert stream.receive(20) is not None
+        before.commit(2)
+        assert take(stream, 2) == [2, 3]
+    outbox.add(3)  # committed, and the daemon died before it could tell
+    with Service(outbox, before.publisher.address, before.server.address) as again:
+        assert take(stream, 3) == [4, 5, 6]
+        again.commit()
+        assert take(stream, 1) == [7]
+    stream.close()
+    client.close()
 
 
 def test_a_silent_daemon_is_reported() -> None:
