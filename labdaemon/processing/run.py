@@ -62,22 +62,18 @@ def jobs(folder: DataFolder) -> list[Job]:
         A capture's file is missing or wrong, or a group's captures name different sharp sets.
     """
     members: dict[str, list[str]] = {}
-    sharp: dict[str, str | None] = {}
+    kind: dict[str, tuple[bool, str | None]] = {}
     for name in folder.capture_names():
         about = folder.capture(name).about
         report = about.group or name
-        if report in members:
-            if about.group is None or sharp[report] != about.sharp:
-                raise DataError(
-                    f"{report} is a group and a capture at once"
-                    if about.group is None
-                    else f"the captures of group {report} name different sharp sets",
-                    file=folder.root / "captures" / name,
-                )
-            members[report] = [*members.pop(report), name]
-        else:
-            members[report], sharp[report] = [name], about.sharp
-    return [Job(name, tuple(captures), sharp[name]) for name, captures in members.items()]
+        is_group, sharp = kind.setdefault(report, (about.group is not None, about.sharp))
+        where = folder.root / "captures" / name
+        if is_group != (about.group is not None):
+            raise DataError(f"{report} is the name of a capture and of a group: rename one", file=where)
+        if sharp != about.sharp:
+            raise DataError(f"the captures of group {report} name different sharp sets", file=where)
+        members[report] = [*members.pop(report, []), name]
+    return [Job(name, tuple(captures), kind[name][1]) for name, captures in members.items()]
 
 
 def process_folder(

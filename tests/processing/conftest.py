@@ -18,4 +18,4 @@ def planar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two cameras, twelve dots, one capture, every frame shifted a little."""
-    return make_folder(tmp_path_factory.mktemp("stereo") / "set", seed=42, cameras=2, targets=12, camera_shift_px=0.4)
+    return make_folder(tmp_path_factory.mktemp("stereo") / "set", seed=42, cameras=2, targets=8, camera_shift_px=0.4)
