@@ -31,7 +31,7 @@ def a_report(
     return row
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(a=vectors, b=vectors, turn=st.floats(0, 6.3))
 def test_axes_belong_to_the_orbit_whatever_its_phase(a: np.ndarray, b: np.ndarray, turn: float) -> None:
     turned = math.cos(turn) * a + math.sin(turn) * b, math.cos(turn) * b - math.sin(turn) * a
