@@ -27,6 +27,8 @@ from labdrivers.settings import read_settings
 
 RAMP_TICK_S = 0.05
 STOP_TRIES = 3
+SAME_FREQUENCY = 1.02
+"""A correction found at one frequency holds within this ratio of it."""
 TRIM_RANGE = (0.25, 4.0)
 """A table that moves less or more than this times its calibration is broken, not off."""
 
@@ -134,8 +136,6 @@ class ScpiShaker:
         """
         self._halt.clear()
         self._check_limits(frequency_hz, amplitude_mm)
-        if abs(math.log(frequency_hz / (self._trim_at_hz or frequency_hz))) > math.log(1.02):
-            self._trim = 1.0
         now = self.state()
         if now.running and math.isnan(now.amplitude_mm):
             self._switch_off()  # running at a frequency without calibration: nobody knows how far
@@ -252,13 +252,14 @@ class ScpiShaker:
             steps = max(steps, 10)
         begin = time.monotonic()
         for step in range(1, steps + 1):
-            if heed_halt:
-                self._pass_gate()
             part = step / steps
             now_hz = start.frequency_hz * (frequency_hz / start.frequency_hz) ** part
-            if moved:
-                self._send_frequency(now_hz)
-            self._send_level(now_hz, start.amplitude_mm + (amplitude_mm - start.amplitude_mm) * part)
+            with self._link.exclusive():  # as above: no level may follow a stop
+                if heed_halt:
+                    self._pass_gate()
+                if moved:
+                    self._send_frequency(now_hz)
+                self._send_level(now_hz, start.amplitude_mm + (amplitude_mm - start.amplitude_mm) * part)
             rest = begin + step * RAMP_TICK_S - time.monotonic()
             if step < steps and rest > 0:
                 if heed_halt:
@@ -319,7 +320,15 @@ class ScpiShaker:
             raise LimitError(crossed, key=f"{self.name}.limits")
         if self._table is None:
             return
+        if self._trim_at_hz and abs(math.log(frequency_hz / self._trim_at_hz)) > math.log(SAME_FREQUENCY):
+            self._trim, self._trim_at_hz = 1.0, 0.0
         level_v = amplitude_mm / (self._table.mm_per_v(frequency_hz) * self._trim)
+        if 0 < level_v < self._settings.lowest_level_v:
+            raise LimitError(
+                f"{amplitude_mm:g} mm at {frequency_hz:g} Hz needs {level_v:.2g} V, below the generator's "
+                f"{self._settings.lowest_level_v:g} V; at least {self._lowest_mm(frequency_hz):.2g} mm is possible",
+                key=f"{self.name}.lowest_level_v",
+            )
         if level_v > self._settings.highest_level_v:
             raise LimitError(
                 f"{amplitude_mm:g} mm at {frequency_hz:g} Hz needs {level_v:.3g} V, limit "

@@ -105,6 +105,7 @@ def test_ramps_and_never_jumps(make_shaker, expose):
         (5.0, -1.0, "no excitation"),
         (5.0, math.inf, "no excitation"),
         (40.0, 0.01, "calibrated from 2 to 30 Hz"),
+        (5.0, 0.01, r"below the generator's 0\.01 V; at least 0\.037 mm"),
     ],
 )
 def test_beyond_the_table_nothing_is_sent(rig, shaker, frequency_hz, amplitude_mm, words):
@@ -224,6 +225,23 @@ def test_a_generator_without_output_switch_stops_at_its_lowest_level(make_shaker
     shaker.set(5.0, 1.0)
     shaker.stop_now()
     assert load.history[-1]["level_v"] == pytest.approx(0.01)
+    port.close()
+
+
+def test_no_level_follows_a_stop_where_only_levels_stop(make_shaker):
+    """Without an output switch a ramp's next step would start the table again."""
+    load = Load()
+    port = TcpPort(ScpiDevice(load, output_switch=False))
+    shaker = make_shaker(port.url, dialect="33120a", enable_line=True, ramp_mm_s=2.0)
+    for delay in (0.1, 0.23, 0.31):
+        ramp = threading.Thread(target=_swallow, args=(lambda: shaker.set(5.0, 5.0),))
+        ramp.start()
+        time.sleep(delay)
+        shaker.stop_now()
+        ramp.join(3)
+        assert not ramp.is_alive()
+        time.sleep(0.1)
+        assert load.history[-1]["level_v"] == pytest.approx(0.01)
     port.close()
 
 
