@@ -140,10 +140,16 @@ class _View:
         flags = row.get("flags") or []
         title = escape(f"{row['target']}: {length:.3f} mm" + (f" ({', '.join(flags)})" if flags else ""))
         dash = ' stroke-dasharray="3 3"' if flags else ""
+        tint = colour(length / largest if largest else 0.0)
+        quarter = (len(_ORBIT) - 1) // 4
+        ends = "".join(
+            f'<circle cx="{end_x:.1f}" cy="{end_y:.1f}" r="2.6" fill="{tint}"/>'
+            for end_x, end_y in self.place(orbit[[quarter, 3 * quarter]])
+        )
         return [
-            f'<g><title>{title}</title><polygon points="{path}" fill="{colour(length / largest if largest else 0)}" '
-            f'fill-opacity="0.18" stroke="{colour(length / largest if largest else 0)}" stroke-width="2.2" '
-            f'stroke-linejoin="round"{dash}/><circle cx="{x:.1f}" cy="{y:.1f}" r="2.1" fill="var(--ink)"/></g>'
+            f'<g><title>{title}</title><polygon points="{path}" fill="{tint}" fill-opacity="0.18" stroke="{tint}" '
+            f'stroke-width="2" stroke-linejoin="round"{dash}/>{ends}'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.1" fill="var(--ink)"/></g>'
         ]
 
 

@@ -19,6 +19,8 @@ from labdaemon.report.overlay import overlay_path
 
 PICTURE_WIDTH_PX = 760
 """Of overlays in the page; the large ones lie beside it."""
+MAX_ILLUSTRATED = 40
+"""A campaign of more captures than this gets a page without overlays, which stays below some 10 MB."""
 
 Truth = Mapping[str, Sequence[Mapping[str, Any]]]
 """Rows of truth by capture, as `labdaemon.report.accuracy.compare` takes them."""
@@ -72,6 +74,9 @@ def report_folder(
     results = results or folder / "results"
     facts = _facts(folder)
     cameras = sorted({path.stem for path in folder.glob("captures/*/*") if path.suffix not in NOT_FRAMES})
+    measured = envelopes(results)
+    if len(measured) > MAX_ILLUSTRATED:
+        cameras = []
     shown = [
         CaptureResult(
             name,
@@ -80,7 +85,7 @@ def report_folder(
             _overlays(results, name, cameras),
             compare(name, rows, truth[name]) if truth and name in truth else None,
         )
-        for name, rows in envelopes(results).items()
+        for name, rows in measured.items()
     ]
     page = results / "index.html"
     try:
