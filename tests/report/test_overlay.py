@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from labdaemon.errors import DataError
+from labdaemon.processing.tables import Row
+from labdaemon.report.overlay import CLEAN, COLOURS, FLAGGED, LOST, RESTING, draw_overlay, overlay_path, write_overlay
+
+
+def row(target: str, *numbers: float | None, flags: tuple[str, ...] = ()) -> Row:
+    columns = ("x_px", "y_px", "ax_px", "ay_px", "bx_px", "by_px")
+    return {
+        "capture": "c1",
+        "camera": "left",
+        "target": target,
+        **dict(zip(columns, numbers, strict=True)),
+        "flags": [*flags],
+    }
+
+
+def painted(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+    """(n, 2) x and y of pixels of a colour, below the caption."""
+    y, x = np.nonzero((np.abs(picture.astype(int) - colour) < 45).all(axis=2))
+    band = round(46 * max(picture.shape[:2]) / 1000) + 1
+    return np.column_stack([x, y])[y > band]
+
+
+GREY = np.full((600, 800), 0.4, np.float32)
+
+
+def test_a_vector_is_drawn_twenty_times_as_long_about_its_target() -> None:
+    picture = draw_overlay(GREY, [row("T01", 400.0, 300.0, 6.0, 0.0, 0.0, 0.0)], title="c1")
+    at = painted(picture, CLEAN)
+    assert picture.shape == (600, 800, 3)
+    assert abs(at[:, 0].min() - (400 - 120)) <= 3
+    assert abs(at[:, 0].max() - (400 + 120)) <= 3
+    assert abs(at[:, 1].mean() - 300) < 3
+
+
+def test_an_orbit_is_drawn_as_one() -> None:
+    picture = draw_overlay(GREY, [row("T01", 400.0, 300.0, 6.0, 0.0, 0.0, 3.0)], title="c1")
+    at = painted(picture, CLEAN)
+    assert abs(at[:, 1].min() - (300 - 60)) <= 3
+    assert abs(at[:, 1].max() - (300 + 60)) <= 3
+
+
+def test_large_frames_are_reduced_with_their_vectors() -> None:
+    picture = draw_overlay(
+        np.full((2700, 3600), 0.4, np.float32), [row("T", 1800.0, 1350.0, 10.0, 0.0, 0.0, 0.0)], title=""
+    )
+    assert picture.shape == (1350, 1800, 3)
+    at = painted(picture, CLEAN)
+    assert abs(at[:, 0].max() - (900 + 100)) <= 4
+
+
+@pytest.mark.parametrize(
+    ("numbers", "flags", "colour"),
+    [
+        ((400.0, 300.0, 4.0, 0.0, 0.0, 0.0), (), CLEAN),
+        ((400.0, 300.0, 0.2, 0.0, 0.0, 0.0), ("at_rest",), RESTING),
+        ((400.0, 300.0, 4.0, 0.0, 0.0, 0.0), ("at_rest", "poor_fit"), FLAGGED),
+        ((400.0, 300.0, None, None, None, None), ("not_found",), LOST),
+    ],
+)
+def test_colours_say_what_a_row_is(
+    numbers: tuple[float | None, ...], flags: tuple[str, ...], colour: tuple[int, int, int]
+) -> None:
+    picture = draw_overlay(GREY, [row("T01", *numbers, flags=flags)], title="c1")
+    for other in COLOURS.values():
+        assert (len(painted(picture, other)) > 0) == (other == colour)
+
+
+def test_a_target_without_a_place_draws_nothing() -> None:
+    lost = row("T01", None, None, None, None, None, None, flags=("not_found",))
+    picture = draw_overlay(GREY, [lost], title="c1")
+    assert all(len(painted(picture, colour)) == 0 for colour in COLOURS.values())
+
+
+def test_written_as_png_and_refused_where_it_cannot_be(tmp_path: Path) -> None:
+    frame = tmp_path / "frame.png"
+    cv2.imwrite(str(frame), np.full((300, 400), 20000, np.uint16))
+    out = overlay_path(tmp_path / "results", "c1", "left")
+    assert out == tmp_path / "results" / "overlay" / "c1-left.png"
+    rows = [row("T01", 200.0, 150.0, 3.0, 1.0, 0.0, 0.0)]
+    write_overlay(frame, rows, out, "c1 left", {"T01": 0.75})
+    assert cv2.imread(str(out)).shape == (300, 400, 3)
+    assert [p.name for p in out.parent.iterdir()] == ["c1-left.png"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="cannot be written"):
+        write_overlay(frame, rows, tmp_path / "file" / "x.png", "c1")
+    with pytest.raises(DataError, match="no such file"):
+        write_overlay(tmp_path / "gone.dng", rows, out, "c1")
