@@ -9,6 +9,8 @@ from typing import cast
 
 import click
 
+from labdaemon.errors import UsageError
+
 ELSEWHERE = {name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock")}
 """Subcommands that live with what they try out; imported only when asked for."""
 
@@ -35,7 +37,9 @@ def bench() -> None:
 @click.option("--seed", "seeds", type=int, multiple=True, default=(1,), show_default=True, help="May be given again.")
 @click.option("--quick", is_flag=True, help="One frame a case, fewer cases.")
 @click.option("--only", multiple=True, metavar="CASE", help="Run this case only; may be given again.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Where the figure goes.")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Where accuracy.png goes; here by default."
+)
 @click.option("--keep", type=click.Path(file_okay=False, path_type=Path), help="Leave the rendered folders here.")
 @click.option("--workers", type=click.IntRange(0), default=0, help="Processes; 0 for one a core.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -52,7 +56,16 @@ def accuracy(
     from labdaemon.bench.accuracy import run_accuracy
     from labdaemon.bench.accuracy_text import document, lines
     from labdaemon.bench.cases import cases
+    from labdaemon.bench.chart import draw, figure_class
 
+    drawn = True
+    try:
+        figure_class()
+    except UsageError as exc:
+        if out is not None:
+            raise
+        click.echo(f"no figure: {exc}", err=True)
+        drawn = False
     unknown = set(only) - {case.key for case in cases(quick)}
     if unknown:
         known = ", ".join(case.key for case in cases(quick))
@@ -70,11 +83,10 @@ def accuracy(
     else:
         for line in lines(result):
             click.echo(line)
-    if out is not None and any(case.case.pooled for case in result.cases):
-        from labdaemon.bench.chart import draw
-
-        draw(result, out / "accuracy.png")
-        click.echo(f"figure: {out / 'accuracy.png'}", err=True)
+    if drawn and any(case.case.pooled for case in result.cases):
+        file = (out or Path()) / "accuracy.png"
+        draw(result, file)
+        click.echo(f"figure: {file}", err=True)
 
 
 @bench.command()
