@@ -23,6 +23,10 @@ DISTINCT = 0.01
 """Chance below which two candidates count as different; others agree within their stated uncertainty."""
 STRAIGHT = 12.0
 """Squared ratio of a minor axis to its standard deviation below which a path counts as straight."""
+NOT_STRAIGHT = 1e-3
+"""Chance of a straight path's residuals in two cameras below which an orbit is tried."""
+ORBIT_GAIN = 4.0
+"""What an orbit's two further parameters must take off the squared residuals of three cameras (Akaike)."""
 ALIKE_MM = 0.02
 """Two roots of an orbit this close are one for any practical purpose."""
 POOR_FIT = 1e-6
@@ -90,9 +94,7 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
         best = phased_candidate(views, exterior, motions)
         return Joined(_object_motion(best, None, phased=True), settled_by="phase")
     motions = [_axes(motion) for motion in motions]
-    straight = all(is_straight(motion) for motion in motions)
-    solve = straight_candidates if straight else orbit_candidates
-    candidates = solve(views, exterior, motions)
+    candidates, straight = _candidates(views, exterior, motions)
     best, others = candidates[0], candidates[1:]
     # Residuals larger than stated mean noise larger than stated: it may have decided the match.
     scale = max(1.0, best.square / best.freedom) if best.freedom > 0 else 1.0
@@ -112,6 +114,31 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
         return Joined(joined)
     evidence = 0.5 * (rival.square - best.square) / scale
     return Joined(joined, _object_motion(rival, ratio, phased=False), evidence=evidence)
+
+
+def _candidates(
+    views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]
+) -> tuple[list[Candidate], bool]:
+    """Solutions without phase, best first, and whether they are straight.
+
+    A path that is straight in every picture within their uncertainty may still be an orbit: where each alone sees
+    nothing across its path, the cameras together may contradict each other about its length. Then the orbit is taken
+    if it explains them.
+    """
+    if not all(is_straight(motion) for motion in motions):
+        return orbit_candidates(views, exterior, motions), False
+    straight = straight_candidates(views, exterior, motions)
+    best = straight[0]
+    # Two cameras pay for an orbit with an ambiguity: only what a straight path cannot explain is called one.
+    suspect = best.square > best.freedom if len(views) > 2 else chi2.sf(best.square, best.freedom) < NOT_STRAIGHT
+    if suspect:
+        try:
+            orbits = orbit_candidates(views, exterior, motions)
+        except DataError:
+            orbits = []
+        if orbits and best.square - orbits[0].square > (ORBIT_GAIN if len(views) > 2 else CLEARLY_WORSE):
+            return orbits, False
+    return straight, True
 
 
 def is_straight(motion: ImageMotion) -> bool:

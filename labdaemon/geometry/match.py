@@ -31,24 +31,36 @@ def straight_candidates(views: Sequence[View], exterior: FloatArray, motions: Se
     ranked.sort(key=lambda entry: entry[0])
     result = []
     for _, signs, vector in ranked[:2]:
-        flips = [np.array([1.0, 1.0, sign, sign]) for sign in signs]
         try:
-            candidate = adjust_motion(
-                views,
-                exterior,
-                [np.concatenate([m.mean_px, m.a_px]) * f for m, f in zip(motions, flips, strict=True)],
-                [m.covariance_px2[:4, :4] * np.outer(f, f) for m, f in zip(motions, flips, strict=True)],
-                lambda picture, by_motion, by_exterior: (picture[:4], by_motion[:4], by_exterior[:4]),
-                range(6),
-                np.stack([start[0], vector, np.zeros(3)]),
-            )
+            candidate = _adjust_straight(views, exterior, motions, signs, np.stack([start[0], vector, np.zeros(3)]))
         except DataError:
             continue  # ends matched wrongly may put the path behind a camera
-        candidate.covariance_mm2[6:, 6:] = _minor_covariance(views, motions, candidate.motion_mm[0])
         result.append(candidate)
     if not result:
         raise DataError("no way of matching the ends of its path puts it in front of the cameras")
     return sorted(result, key=lambda candidate: candidate.square)
+
+
+def _adjust_straight(
+    views: Sequence[View],
+    exterior: FloatArray,
+    motions: Sequence[ImageMotion],
+    signs: Sequence[float],
+    start: FloatArray,
+) -> Candidate:
+    """Straight motion with each camera's a taken with a sign."""
+    flips = [np.array([1.0, 1.0, sign, sign]) for sign in signs]
+    candidate = adjust_motion(
+        views,
+        exterior,
+        [np.concatenate([m.mean_px, m.a_px]) * f for m, f in zip(motions, flips, strict=True)],
+        [m.covariance_px2[:4, :4] * np.outer(f, f) for m, f in zip(motions, flips, strict=True)],
+        lambda picture, by_motion, by_exterior: (picture[:4], by_motion[:4], by_exterior[:4]),
+        range(6),
+        start,
+    )
+    candidate.covariance_mm2[6:, 6:] = _minor_covariance(views, motions, candidate.motion_mm)
+    return candidate
 
 
 def phased_candidate(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> Candidate:
@@ -119,15 +131,24 @@ def _linear_vector(
     return vector, total - float(right @ vector)
 
 
-def _minor_covariance(views: Sequence[View], motions: Sequence[ImageMotion], mean: FloatArray) -> FloatArray:
-    """(3, 3) covariance of a minor axis that was found to be zero."""
-    normal: FloatArray = np.zeros((3, 3))
+def _minor_covariance(views: Sequence[View], motions: Sequence[ImageMotion], motion_mm: FloatArray) -> FloatArray:
+    """(3, 3) covariance of a minor axis that was found to be zero.
+
+    A picture shows of it only what stands across the path: the rest would merely lengthen a. It is at right angles to
+    the major axis and no longer than that.
+    """
+    size = max(float(np.linalg.norm(motion_mm[1])), 1e-6)
+    along = motion_mm[1] / size
+    normal = np.eye(3) / size**2 + np.outer(along, along) * 1e6 / size**2
     for view, motion in zip(views, motions, strict=True):
-        block = motion.covariance_px2[4:, 4:]
-        if not np.isfinite(block).all():
-            return np.full((3, 3), np.nan)
-        jacobian = view.project_with_jacobians(mean[None])[1][0]
-        normal += jacobian.T @ np.linalg.inv(block + 1e-8 * np.eye(2)) @ jacobian
+        a, block = motion.a_px, motion.covariance_px2[4:, 4:]
+        length = float(np.linalg.norm(a))
+        if length == 0.0 or not np.isfinite(block).all():
+            continue
+        across = np.array([-a[1], a[0]]) / length
+        variance = float(across @ block @ across) + _AXIS_FLOOR_PX**2
+        seen = across @ view.project_with_jacobians(motion_mm[:1])[1][0]
+        normal += np.outer(seen, seen) / variance
     return np.asarray(np.linalg.inv(normal), dtype=float)
 
 
