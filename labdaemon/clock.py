@@ -89,8 +89,12 @@ class SimulatedClock:
         RuntimeError
             Every task waits for something that no timer will bring about.
         """
-        with asyncio.Runner(loop_factory=lambda: _SimulatedLoop(self)) as runner:
+        with self.runner() as runner:
             return runner.run(coroutine)
+
+    def runner(self) -> asyncio.Runner:
+        """Runs several coroutines one after the other; between them no time passes, and no task goes on."""
+        return asyncio.Runner(loop_factory=lambda: _SimulatedLoop(self))
 
 
 class _JumpingSelector(selectors.SelectSelector):

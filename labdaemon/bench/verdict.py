@@ -64,7 +64,10 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bo
     with sqlite3.connect(f"file:{data / 'journal.db'}?mode=ro", uri=True) as journal:
         seqs = [row[0] for row in journal.execute("SELECT seq FROM events ORDER BY seq")]
         kept = journal.execute("SELECT path, size_bytes, sha256 FROM frames").fetchall()
-        told = [json.loads(row[0])["step"] for row in journal.execute("SELECT data FROM events WHERE kind='envelope'")]
+        told = [
+            (campaign, json.loads(data)["step"])
+            for campaign, data in journal.execute("SELECT campaign, data FROM events WHERE kind = 'envelope'")
+        ]
         ends = journal.execute("SELECT count(*) FROM campaigns WHERE state <> 'completed'").fetchone()[0]
         ends += journal.execute(
             "SELECT count(*) FROM captures WHERE state IN ('intended', 'fired', 'exposed')"
@@ -86,12 +89,13 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bo
     )
 
 
-def _captures_in(data: Path) -> Counter[str]:
+def _captures_in(data: Path) -> Counter[tuple[str, str]]:
     """How often each capture has rows of its own in the result files: rows of one capture stand together."""
-    seen: Counter[str] = Counter()
+    seen: Counter[tuple[str, str]] = Counter()
     for path in data.glob("campaigns/*/results/envelope.csv"):
         with path.open(newline="") as file:
             rows = Counter((row["capture"], row["target"]) for row in csv.DictReader(file))
         for (capture, _), count in rows.items():
-            seen[capture] = max(seen[capture], count)
+            place = (path.parents[1].name, capture)
+            seen[place] = max(seen[place], count)
     return seen

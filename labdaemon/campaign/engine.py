@@ -138,7 +138,8 @@ class Engine:
         """
         record = self._named(campaign, "running")
         self.control.want("pause", reason)
-        await self._move(record, "paused", reason)
+        if not await self._move(record, "paused", reason):
+            raise WrongState(f"campaign {record.id} has just ended")
         return record.id
 
     async def resume(self, campaign: str | None = None, *, accept_changed_rig: bool = False) -> str:
@@ -150,12 +151,13 @@ class Engine:
             There is no such campaign, it is not paused, or it was planned for another rig.
         """
         record = self._named(campaign, "paused")
-        digest = self._planner(record.toml).digest
-        if digest != record.digest:
+        plan = self._planner(record.toml)
+        if plan.digest != record.digest:
             if not accept_changed_rig:
                 raise WrongState(f"{record.id}: {CHANGED_RIG}")
-            await self.lab.recorder.write(transitions.accept_digest, record.id, digest)
-        await self._move(record, "running")
+            await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)
+        if not await self._move(record, "running", **_outline(plan)):
+            raise WrongState(f"campaign {record.id} has just ended")
         self.control.clear()
         return record.id
 
@@ -203,14 +205,16 @@ class Engine:
         InterlockError
             Nothing confirmed.
         """
-        record, reason = self.current, "stopped by a person"
-        is_running = record is not None and self.control.wish == "go"
+        reason = "stopped by a person"
+        record = self.current or self._next()  # one that is about to be taken up counts
+        is_running = record is not None and record.state != "paused" and self.control.wish == "go"
         self.control.want("pause" if is_running else self.control.wish, reason, at_once=True)
         try:
             return await self.lab.table.stop()
         finally:
             if record is not None and is_running:
                 await self._move(record, "paused", reason)
+                self.control.want("pause", reason, at_once=True)
 
     def _next(self) -> CampaignRecord | None:
         journal = self.lab.recorder.journal
@@ -245,7 +249,8 @@ class Engine:
     async def _take_up(self, record: CampaignRecord, guard: asyncio.Task[None]) -> None:
         """Begin a campaign, or go on with it, until it ends."""
         self.current, self.largest_mm = record, None
-        self.control.clear("pause" if record.state == "paused" else "go")
+        if record.state == "paused" or self.control.wish == "go":
+            self.control.clear("pause" if record.state == "paused" else "go")
         try:
             self.plan = plan = self._planner(record.toml)
             if plan.digest != record.digest and record.state != "paused":
@@ -256,13 +261,13 @@ class Engine:
                     self.control.clear("pause")
             await self.reporter.when_there_is_room(lambda: self._begin(record, plan))
             if self._state(record.id) == "queued":
-                told: dict[str, Any] = {"name": plan.name, "steps": len(plan.steps), "predicted_s": plan.predicted_s}
-                await self._move(record, "running", **told)
+                await self._move(record, "running", **_outline(plan))
             await self._walk(record, plan, guard)
         except ConfigError as exc:
             await self._move(record, "failed", str(exc))
         finally:
             self.current = self.plan = self.step = None
+            self.control.clear()
 
     async def _begin(self, record: CampaignRecord, plan: Plan) -> None:
         prepare_folder(self.lab.data, record.id, {**self._folder_files, "campaign.toml": record.toml})
@@ -317,8 +322,7 @@ class Engine:
         if self.control.wish != "go":
             return False
         taken = records.count_captures(self.lab.recorder.journal, record.id)
-        await self._move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
-        return True
+        return await self._move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
 
     def _has_ended(self, campaign: str, step: Step) -> bool:
         kept = records.step(self.lab.recorder.journal, campaign, step.index)
@@ -353,10 +357,11 @@ class Engine:
         campaign = self.current.id if self.current is not None else None
         await self.reporter.fault(exc, campaign=campaign, step=self.step, action=action)
 
-    async def _move(self, record: CampaignRecord, state: CampaignState, reason: str | None = None, **data: Any) -> None:
-        await self.reporter.move(record.id, state, reason, **data)
-        if self.current is not None and self.current.id == record.id:
+    async def _move(self, record: CampaignRecord, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
+        moved = await self.reporter.move(record.id, state, reason, **data)
+        if moved and self.current is not None and self.current.id == record.id:
             self.current = replace(self.current, state=state, reason=reason)
+        return moved
 
     def _state(self, campaign: str) -> CampaignState | None:
         record = records.campaign(self.lab.recorder.journal, campaign)
@@ -373,3 +378,8 @@ class Engine:
         if record.state not in states:
             raise WrongState(f"campaign {id} is {record.state}, not {' or '.join(states)}")
         return record
+
+
+def _outline(plan: Plan) -> dict[str, Any]:
+    """What the start of a campaign tells of it."""
+    return {"name": plan.name, "steps": len(plan.steps), "predicted_s": round(plan.predicted_s, 1)}

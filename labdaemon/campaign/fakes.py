@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -113,7 +112,8 @@ class FakeLab:
         return self.fake.world
 
     def start(self) -> None:
-        """Open the journal and let the engine run."""
+        """As the daemon does it: the table to rest, the journal opened, the engine let run."""
+        self.world.drive(False, self.world.frequency_hz, self.world.amplitude_mm)
         self.journal = Journal(self.data, self.clock, synchronous="OFF")
         recorder = Recorder(self.journal, InlineLine("journal", lambda: 0.0))
         table = Table(self.fake.rig, self.clock, self.limits.gauge_disagreement)
@@ -143,8 +143,7 @@ class FakeLab:
         """What kill -9 does to the engine, as far as one process can do that to itself: nothing is put in order."""
         if self._run is not None:
             self._run.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._run
+            await asyncio.gather(self._run, return_exceptions=True)
         await self.engine.measuring.cancel()
         self.journal.close()
         self._run = None

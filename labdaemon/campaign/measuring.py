@@ -86,6 +86,7 @@ class Measuring:
         self._since: dict[tuple[str, str], float] = {}
         self._group_sizes: dict[str, Mapping[str, int]] = {}
         self._writing = asyncio.Lock()
+        self._broken: BaseException | None = None
         self.finished = 0
         """Results and failures so far: what a watchdog looks at."""
 
@@ -99,7 +100,11 @@ class Measuring:
         return max((self._clock.monotonic() - since for since in self._since.values()), default=0.0)
 
     async def add(self, capture: CaptureRecord) -> None:
-        """Measure a stored capture, or its group once all members are stored; waits while the queue is full."""
+        """Measure a stored capture, or its group once all members are stored; waits while the queue is full.
+
+        Raises what broke an earlier measurement in a way that nobody has foreseen.
+        """
+        self._raise_if_broken()
         if capture.is_sharp:
             return
         members = self._members(capture)
@@ -112,7 +117,7 @@ class Measuring:
         self._since[key] = self._clock.monotonic()
         task = asyncio.create_task(self._measure(key, members))
         self._tasks[key] = task
-        task.add_done_callback(lambda _: self._done(key))
+        task.add_done_callback(lambda task: self._done(key, task))
 
     async def resume(self, campaign: str, group_sizes: Mapping[str, int]) -> None:
         """Take a campaign up: write its result files anew from the journal.
@@ -134,6 +139,7 @@ class Measuring:
         while self._tasks:
             await asyncio.wait(list(self._tasks.values()))
             await asyncio.sleep(0)
+        self._raise_if_broken()
 
     async def cancel(self) -> None:
         """Give up what is in hand; the journal still has it as stored."""
@@ -149,7 +155,13 @@ class Measuring:
         members = sorted((other for other in taken if other.grouped == capture.grouped), key=lambda other: other.shot)
         return members if len(members) >= self._group_sizes[capture.campaign][capture.grouped] else None
 
-    def _done(self, key: tuple[str, str]) -> None:
+    def _raise_if_broken(self) -> None:
+        if self._broken is not None:
+            raise self._broken
+
+    def _done(self, key: tuple[str, str], task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and task.exception() is not None:
+            self._broken = task.exception()
         self._tasks.pop(key, None)
         self._since.pop(key, None)
         self._slots.release()

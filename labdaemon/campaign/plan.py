@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from labdaemon.campaign.campaign_file import (
@@ -44,6 +44,9 @@ class PlanRig:
         Size of one frame of each camera, by camera name.
     free_bytes
         Room for the campaign on disk; None if it is not to be checked.
+    refusal
+        Asks the shaker's driver why it would not set this frequency (Hz) and amplitude (mm), None if it would: its
+        calibration ends somewhere, and its generator has a smallest and a largest level.
     can_fire
         False when an outside system fires the shutters.
     set_s, shot_s
@@ -56,6 +59,7 @@ class PlanRig:
     exposure_steps_s: Mapping[str, Sequence[float]]
     frame_bytes: Mapping[str, int] = field(default_factory=dict)
     free_bytes: int | None = None
+    refusal: Callable[[float, float], str | None] = lambda frequency_hz, amplitude_mm: None
     can_fire: bool = True
     set_s: float = 2.0
     shot_s: float = 3.0
@@ -177,6 +181,8 @@ class _Planner:
                 raise self.limit(at + frequency_key, crossed)
             if crossed := crossed_amplitude(self.rig.limits, frequency_hz, amplitude_mm):
                 raise self.limit(at + amplitude_key, crossed)
+            if refused := self.rig.refusal(frequency_hz, amplitude_mm):
+                raise self.limit(at + amplitude_key, refused)
         walked = settings + settings[-2::-1] if phase.both_directions else settings
         for frequency_hz, amplitude_mm, _, _ in walked:
             yield from self.setting(place, phase, frequency_hz, amplitude_mm)

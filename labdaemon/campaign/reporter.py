@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
 from labdaemon.campaign.steps import Step
 from labdaemon.capture.recorder import Recorder
@@ -13,6 +13,8 @@ from labdaemon.clock import Clock
 from labdaemon.journal import transitions
 from labdaemon.journal.records import CampaignState
 from labdaemon.journal.storage import StorageFull
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -53,22 +55,20 @@ class Reporter:
         with suppress(StorageFull):  # the disk has no room for the news either; the log has them
             await self._recorder.write(transitions.fault, campaign, told)
 
-    async def move(self, campaign: str, state: CampaignState, reason: str | None = None, **data: Any) -> None:
-        """Put a campaign into another state."""
-        await self.when_there_is_room(
+    async def move(self, campaign: str, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
+        """Put a campaign into another state; False if it was in none that leads there."""
+        return await self.when_there_is_room(
             lambda: self._recorder.write(transitions.move_campaign, campaign, state, reason, **data)
         )
 
-    async def when_there_is_room(self, work: Callable[[], Awaitable[Any]]) -> None:
+    async def when_there_is_room(self, work: Callable[[], Awaitable[T]]) -> T:
         """Do it, and do it again after every `StorageFull`, once there is room."""
         while True:
             try:
-                await work()
+                return await work()
             except StorageFull as exc:
                 await self.fault(exc, campaign=None, step=None, action="wait for room")
                 await self.wait_for_room()
-            else:
-                return
 
     async def wait_for_room(self) -> None:
         """Wait until the disk has room again, and a little longer."""

@@ -140,6 +140,9 @@ class Table:
     async def _set(self, excitation: Excitation) -> None:
         assert self._rig.shaker is not None
         stops = self._stops
+        async with self._stopping:
+            pass  # a stop that is under way comes first
+        self._refuse_if_stopped(stops)
         await self._enable()
         self.excitation, self.settled = excitation, None
         self._last_hz = excitation.frequency_hz

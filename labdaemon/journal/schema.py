@@ -95,4 +95,5 @@ CREATE TABLE events (
     campaign TEXT,
     data TEXT NOT NULL
 ) STRICT;
+CREATE INDEX events_of_campaign ON events (campaign, kind);
 """

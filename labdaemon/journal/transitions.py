@@ -25,6 +25,16 @@ CAMPAIGN_EVENTS: dict[CampaignState, str] = {
 }
 
 
+WAYS_TO: dict[CampaignState, tuple[CampaignState, ...]] = {
+    "running": ("queued", "paused"),
+    "paused": ("queued", "running"),
+    "completed": ("running",),
+    "aborted": ("queued", "running", "paused"),
+    "failed": ("queued", "running", "paused"),
+}
+"""States from which a campaign may come to each."""
+
+
 def submit(journal: Journal, name: str, toml: str, digest: str, request_id: str | None = None) -> str:
     """Queue a campaign and return its id; a `request_id` seen before answers the same and queues nothing."""
     with journal.transaction("campaign.queued") as write:
@@ -51,15 +61,25 @@ def open_manual(journal: Journal) -> str:
 
 def move_campaign(
     journal: Journal, /, campaign: str, state: CampaignState, reason: str | None = None, **data: Any
-) -> None:
-    """Put a campaign into another state; running again after a pause is told as ``campaign.resumed``."""
+) -> bool:
+    """Put a campaign into another state; running again is told as ``campaign.resumed``.
+
+    Returns
+    -------
+    bool
+        False, and nothing changed, if it is in a state from which there is no way there: somebody was faster.
+    """
     kind = CAMPAIGN_EVENTS[state]
     with journal.transaction(kind) as write:
         before = write.execute("SELECT state FROM campaigns WHERE id = ?", campaign).fetchone()[0]
-        if before == "paused" and state == "running":
+        if before not in WAYS_TO[state]:
+            return False
+        told = write.execute("SELECT 1 FROM events WHERE campaign = ? AND kind = ?", campaign, kind).fetchone()
+        if state == "running" and told is not None:
             kind = "campaign.resumed"
         write.execute("UPDATE campaigns SET state = ?, reason = ? WHERE id = ?", state, reason, campaign)
         write.emit(kind, campaign, {**data, **({"reason": reason} if reason else {})})
+    return True
 
 
 def accept_digest(journal: Journal, campaign: str, digest: str) -> None:
