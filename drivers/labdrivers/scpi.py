@@ -135,7 +135,9 @@ class ScpiShaker:
             The wire or the answers failed; the table may be moving: stop it.
         """
         self._halt.clear()
-        self._check_limits(frequency_hz, amplitude_mm)
+        self.check(frequency_hz, amplitude_mm)
+        if self._trims_elsewhere(frequency_hz):
+            self._trim, self._trim_at_hz = 1.0, 0.0
         now = self.state()
         if now.running and math.isnan(now.amplitude_mm):
             self._switch_off()  # running at a frequency without calibration: nobody knows how far
@@ -311,7 +313,14 @@ class ScpiShaker:
     def _lowest_mm(self, frequency_hz: float) -> float:
         return self._lowest_level / self._per_mm(frequency_hz) if self._table else self._settings.lowest_mm
 
-    def _check_limits(self, frequency_hz: float, amplitude_mm: float) -> None:
+    def check(self, frequency_hz: float, amplitude_mm: float) -> None:
+        """Refuse what `set` would refuse: beyond the table, its calibration or the generator. Sends nothing.
+
+        Raises
+        ------
+        LimitError
+            It would; says what is possible.
+        """
         if not (math.isfinite(frequency_hz) and math.isfinite(amplitude_mm)) or frequency_hz <= 0 or amplitude_mm < 0:
             raise LimitError(f"{frequency_hz} Hz at {amplitude_mm} mm is no excitation", key=self.name)
         limits = self._settings.limits
@@ -320,9 +329,8 @@ class ScpiShaker:
             raise LimitError(crossed, key=f"{self.name}.limits")
         if self._table is None:
             return
-        if self._trim_at_hz and abs(math.log(frequency_hz / self._trim_at_hz)) > math.log(SAME_FREQUENCY):
-            self._trim, self._trim_at_hz = 1.0, 0.0
-        level_v = amplitude_mm / (self._table.mm_per_v(frequency_hz) * self._trim)
+        trim = 1.0 if self._trims_elsewhere(frequency_hz) else self._trim
+        level_v = amplitude_mm / (self._table.mm_per_v(frequency_hz) * trim)
         if 0 < level_v < self._settings.lowest_level_v:
             raise LimitError(
                 f"{amplitude_mm:g} mm at {frequency_hz:g} Hz needs {level_v:.2g} V, below the generator's "
@@ -335,6 +343,10 @@ class ScpiShaker:
                 f"{self._settings.highest_level_v:g} V; lower the amplitude, or raise the gain and calibrate",
                 key=f"{self.name}.highest_level_v",
             )
+
+    def _trims_elsewhere(self, frequency_hz: float) -> bool:
+        """Whether the correction of the drive table was found at another frequency."""
+        return bool(self._trim_at_hz) and abs(math.log(frequency_hz / self._trim_at_hz)) > math.log(SAME_FREQUENCY)
 
     def _send_frequency(self, frequency_hz: float) -> None:
         self._link.tell(self._commands.set_frequency.format(frequency_hz=frequency_hz))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +14,7 @@ from pydantic import Field
 from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.campaign.plan import PlanRig
 from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
-from labdaemon.errors import ConfigError
+from labdaemon.errors import ConfigError, LimitError
 from labdaemon.service.config_sections import (
     CameraSection,
     ControlSection,
@@ -151,9 +152,29 @@ def plan_rig(
         steps,
         frame_bytes,
         free_bytes,
+        refusal=partial(_refusal, _build_shaker(rig)),
         can_fire=rig.trigger.driver not in BUILT_IN["trigger"],
         digest=rig.digest,
     )
+
+
+def _build_shaker(rig: RigConfig) -> Any:
+    """The shaker's driver, not connected; None without one, or when it is not installed."""
+    if rig.shaker is None:
+        return None
+    installed = entry_points(group="labdaemon.shakers")
+    if rig.shaker.driver not in installed.names:
+        return None
+    return installed[rig.shaker.driver].load()("shaker", rig.shaker_settings())
+
+
+def _refusal(shaker: Any, frequency_hz: float, amplitude_mm: float) -> str | None:
+    """Why the driver would not set this. Its `check`, if it has one, sends nothing."""
+    try:
+        getattr(shaker, "check", lambda frequency_hz, amplitude_mm: None)(frequency_hz, amplitude_mm)
+    except LimitError as exc:
+        return str(exc)
+    return None
 
 
 def find_driver(kind: str, driver: str) -> EntryPoint:

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.errors import ConfigError, DataError, LabdaemonError
+from labdaemon.campaign.campaign_file import load_campaign
+from labdaemon.campaign.plan import make_plan
+from labdaemon.errors import ConfigError, DataError, LabdaemonError, LimitError
 from labdaemon.service.config import RigConfig, load_rig, plan_rig
 from labdrivers.sim.rig_file import rig_toml
 from labdrivers.sim.spec import RigSpec
@@ -103,6 +105,17 @@ def test_exposure_names_become_true_times(tmp_path: Path) -> None:
     assert math.isclose(planned.frame_bytes["left"], 3900 * 2613 * 2)
     listed = load_rig(written(tmp_path, ('serial = "6000001"', 'serial = "6000001"\nexposure_steps_s = [0.5, 1.0]')))
     assert plan_rig(listed).exposure_steps_s["left"] == (0.5, 1.0)
+
+
+def test_the_drivers_calibration_bounds_the_plan_too() -> None:
+    planned = plan_rig(load_rig(CONFIG / "sim.toml"))
+    assert planned.refusal(8.0, 1.0) is None
+    assert "calibrated from 2 to 30 Hz" in (planned.refusal(40.0, 0.1) or "")
+    assert "at least" in (planned.refusal(8.0, 1e-4) or "")
+    campaign = load_campaign('name = "far"\n[[phase]]\nkind = "steps"\nfrequency_hz = [8, 40]\namplitude_mm = 0.1\n')
+    with pytest.raises(LimitError, match="calibrate there first") as caught:
+        make_plan(campaign, planned)
+    assert caught.value.key == "phase[0].amplitude_mm"
 
 
 MISTAKES: list[tuple[tuple[str, str], str, str]] = [
