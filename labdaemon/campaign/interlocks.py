@@ -34,7 +34,7 @@ class Limits:
     min_battery_percent: int = 10
     min_card_bytes: int = 200_000_000
     min_disk_bytes: int = 1_000_000_000
-    max_paper_edge: float | None = 0.0
+    max_paper_edge: float | None = 0.1
     camera_timeout_s: float = 30.0
     worker_stall_s: float = 300.0
 

@@ -194,6 +194,8 @@ class InterlocksSection(Section):
     """Fastest growth of the response's semi-amplitude."""
     gauge_disagreement: Fraction | None = 0.2
     """Relative difference between the table's amplitude as set and as the table gauge reads it."""
+    max_paper_edge: Fraction | None = 0.1
+    """Share of an envelope's targets whose smear may reach the edge of its paper."""
     min_battery_percent: Annotated[int, Field(ge=0, le=100, strict=True)] = 10
     min_card_bytes: Count = 200_000_000
     min_disk_bytes: Count = 1_000_000_000

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import pytest
+
+from labdaemon.campaign import interlocks
+from labdaemon.campaign.interlocks import Limits, Sighting
+from labdaemon.capture.devices import CameraStatus
+
+
+def row(target: str, mm: float | None, *flags: str) -> dict[str, object]:
+    return {"target": target, "ax_mm": mm, "ay_mm": 0.0, "az_mm": 0.0, "flags": list(flags)}
+
+
+@pytest.mark.parametrize(("mm", "trips"), [(4.9, False), (5.1, True)])
+def test_response_in_size(mm: float, trips: bool):
+    assert (interlocks.response_reason(Limits(max_response_mm=5.0), Sighting(0.0, mm), None) is not None) == trips
+
+
+@pytest.mark.parametrize(
+    ("after_s", "mm", "sd", "trips"), [(1.0, 3.0, 0.0, True), (4.0, 3.0, 0.0, False), (1.0, 3.0, 1.0, False)]
+)
+def test_response_in_growth_and_what_is_noise(after_s: float, mm: float, sd: float, trips: bool):
+    limits = Limits(max_response_rate_mm_s=1.5)
+    found = interlocks.response_reason(limits, Sighting(after_s, mm, sd), Sighting(0.0, 1.0, sd))
+    assert (found is not None) == trips
+
+
+@pytest.mark.parametrize(
+    ("asked", "read", "sd", "trips"), [(1.0, 1.1, 0, False), (1.0, 1.3, 0, True), (0.01, 0.2, 0.1, False)]
+)
+def test_gauge_disagreement(asked: float, read: float, sd: float, trips: bool):
+    assert (interlocks.table_reason(Limits(), asked, Sighting(0.0, read, sd)) is not None) == trips
+    assert interlocks.table_reason(Limits(gauge_disagreement=None), asked, Sighting(0.0, read, sd)) is None
+
+
+def test_battery_and_card_and_what_a_body_does_not_tell():
+    assert interlocks.camera_reason(Limits(), "left", CameraStatus(None, None)) is None
+    assert "battery at 9 %" in (interlocks.camera_reason(Limits(), "left", CameraStatus(9, None)) or "")
+    assert "100 MB free" in (interlocks.camera_reason(Limits(), "left", CameraStatus(90, 100_000_000)) or "")
+
+
+def test_disk_and_workers():
+    assert interlocks.disk_reason(Limits(), 2_000_000_000) is None
+    assert "900 MB free" in (interlocks.disk_reason(Limits(), 900_000_000) or "")
+    assert interlocks.stall_reason(Limits(), 299.0) is None
+    assert "301 s" in (interlocks.stall_reason(Limits(), 301.0) or "")
+
+
+def test_envelopes_in_size_and_at_the_papers_edge():
+    rows = [row("T1", 1.0), row("T2", None, "not_found"), row("T3", 3.0)]
+    assert interlocks.envelope_reason(Limits(max_response_mm=4.0), rows) is None
+    assert "T3 moves 3 mm" in (interlocks.envelope_reason(Limits(max_response_mm=2.0), rows) or "")
+    edge = [*rows, row("T4", 1.0, "paper_edge")]
+    assert "1 of 4 targets" in (interlocks.envelope_reason(Limits(), edge) or "")
+    assert interlocks.envelope_reason(Limits(max_paper_edge=0.25), edge) is None
