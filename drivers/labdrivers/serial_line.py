@@ -100,14 +100,14 @@ class SerialLine:
                 dsrdtr=self.settings.handshake == "dsrdtr",
                 xonxoff=self.settings.handshake == "xonxoff",
                 timeout=TICK_S,
-                write_timeout=self.settings.timeout_s,
+                write_timeout=None if url.lower().startswith("rfc2217:") else self.settings.timeout_s,  # it has none
                 exclusive=True,  # advisory: keeps a second daemon off, not every program
             )
             if not self._raise_lines:
                 port.dtr = False
                 port.rts = False
             port.open()
-        except ValueError as exc:
+        except (ValueError, NotImplementedError) as exc:
             raise ConfigError(f"{self.device}: port {url!r} cannot be used: {exc}", key=f"{self.device}.port") from exc
         except OPEN_FAULTS as exc:
             raise TransportError(

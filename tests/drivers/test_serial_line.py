@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import socket
+import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -114,3 +117,45 @@ def test_a_port_can_be_opened_again(wire):
     line.open()
     line.write(b"again\n")
     assert line.read_line(until(1)) == b"again"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:serial")  # pyserial's own, from its last release of 2020
+def test_a_serial_server_by_rfc_2217(rig):
+    """pyserial's own server side before a simulated device, its client side under the driver's line."""
+    import serial.rfc2217
+
+    known = SerialLine("box", PortSettings(port="sim://shaker"))
+    known.open()  # makes the scheme known to pyserial
+    known.close()
+    listener = socket.create_server(("127.0.0.1", 0))
+    far = serial.serial_for_url("sim://shaker", timeout=0.02)
+    ended = threading.Event()
+
+    def serve():
+        peer, _ = listener.accept()
+        manager = serial.rfc2217.PortManager(far, SimpleNamespace(write=peer.sendall))
+
+        def outward():
+            while not ended.is_set():
+                if data := far.read(far.in_waiting or 1):
+                    peer.sendall(b"".join(manager.escape(data)))
+
+        back = threading.Thread(target=outward)
+        back.start()
+        while data := peer.recv(1024):
+            far.write(b"".join(manager.filter(data)))
+        ended.set()
+        back.join()
+        peer.close()
+
+    server = threading.Thread(target=serve)
+    server.start()
+    line = SerialLine("box", PortSettings(port=f"rfc2217://127.0.0.1:{listener.getsockname()[1]}"))
+    line.open()
+    line.write(b"*IDN?\n")
+    assert b"33522B" in line.read_line(until(3))
+    line.close()
+    server.join(5)
+    assert not server.is_alive()
+    far.close()
+    listener.close()

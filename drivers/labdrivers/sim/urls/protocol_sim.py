@@ -82,6 +82,13 @@ class Serial(SerialBase):
     dsr = cts
 
     @property
+    def ri(self) -> bool:
+        """Nobody rings."""
+        return False
+
+    cd = ri
+
+    @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once."""
         with self._news:
