@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -56,3 +57,18 @@ def test_plain_output_leaves_the_heartbeat_out(capsys: pytest.CaptureFixture[str
             {"kind": "campaign.aborted", "at": "2026-05-04T10:11:12Z", "campaign": "c", "data": {"reason": "asked to"}}
         )
     assert capsys.readouterr().out == "10:11:12 aborted    campaign c: asked to\n"
+
+
+def test_on_a_terminal_one_line_lives_below_what_happened(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+    status = {"state": "running", "captures": 3, "captures_total": 6, "faults": 2, "left_s": 75, "doing": "settling"}
+    status |= {"frequency_hz": 12.0, "amplitude_mm": 0.5, "largest_mm": 6.1}
+    with Progress() as progress:
+        progress.show({"kind": "status", "at": "2026-05-04T10:11:12Z", "campaign": "c", "data": status})
+        progress.show({"kind": "campaign.paused", "at": "2026-05-04T10:11:12Z", "campaign": "c", "data": {}})
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().out)
+    assert "10:11:12 paused     campaign c\n" in shown
+    assert "3/6 · 2 faults · 12 Hz, 0.5 mm · settling · 1:15 left · largest 6.100 mm" in shown
