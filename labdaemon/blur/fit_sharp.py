@@ -22,6 +22,7 @@ from labdaemon.flags import Flag
 
 COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
 SMEARED_PX2, SMEARED_PART = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
+EDGE_PX = 4.5  # how far the paper's edge is kept away
 MARGIN_PX = 8  # between a patch and its periodic images
 POOR_CHI2 = 1.8
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
@@ -113,6 +114,9 @@ def _noise(
 
 def _crop(dot: Dot, patch: Patch) -> Patch:
     reach = dot.semi_major_px + max(11.0, 0.8 * dot.semi_major_px)
+    if dot.paper_px > dot.semi_major_px + 2 * EDGE_PX:
+        # The blurred edge of the paper darkens what lies before it; narrow labels are masked pixel by pixel instead.
+        reach = min(reach, max(dot.paper_px - EDGE_PX, dot.semi_major_px + EDGE_PX))
     left, top = int(np.floor(dot.x_px - reach)), int(np.floor(dot.y_px - reach))
     return patch.crop(left, top, int(np.ceil(dot.x_px + reach)) - left + 1, int(np.ceil(dot.y_px + reach)) - top + 1)
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from labdaemon.blur.defocus import default_blur
 from labdaemon.blur.honesty import honest_covariance, reach_flags
+from labdaemon.blur.measure import WHOLE, measure
 from labdaemon.blur.model import Setting, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
-from labdaemon.blur.pixels import Patch
+from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Solution
 from labdaemon.blur.windowed import FRAME, solve_windowed, stack, timing_covariance
@@ -45,7 +46,8 @@ def measure_group(
     Returns
     -------
     Measurement
-        `phased` is True; the centre is the mean over frames. With a single frame, or several that see the same part of
+        `phased` is True; the centre is the mean over frames. Whole cycles hold no phase: then it is False, and a and b
+        are the orbit's axes. With a single frame, or several that see the same part of
         the cycle, mirrored solutions fit alike: then `Flag.AMBIGUOUS` is set.
 
     Raises
@@ -60,6 +62,8 @@ def measure_group(
         raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
     if not sharp.usable:
         return nothing(sharp.name, {Flag.NOT_FOUND})
+    if all(abs(window.cycles - round(window.cycles)) < WHOLE for window in windows):
+        return _without_phase(sharp, patches, windows, extra_blur, starts)
     blurs = [extra_blur or default_blur(sharp)] * count if not isinstance(extra_blur, Sequence) else list(extra_blur)
     settings: list[Setting] = []
     for index, patch in enumerate(patches):
@@ -72,6 +76,46 @@ def measure_group(
     spread = 2 * (np.mean(moments, axis=0) - sharp.form.moment_px2) if moments else 4.0 * np.eye(2)
     best, runner_up = solve_windowed(sharp, settings, windows, blurs, spread)
     return _report(sharp, best, runner_up, settings, windows)
+
+
+def _without_phase(
+    sharp: SharpTarget,
+    patches: Sequence[Patch],
+    windows: Sequence[Window],
+    extra_blur: Sequence[ExtraBlur] | ExtraBlur | None,
+    starts: Sequence[Start] | None,
+) -> Measurement:
+    """Whole cycles look the same from whatever phase they are opened at: the frames' mean, unphased."""
+    single = [
+        measure(
+            sharp,
+            patch,
+            window=windows[index],
+            extra_blur=extra_blur[index] if isinstance(extra_blur, Sequence) else extra_blur,
+            start=None if starts is None else starts[index],
+        )
+        for index, patch in enumerate(patches)
+    ]
+    seen = [one for one in single if np.all(np.isfinite(one.a_px))]
+    if not seen:
+        return single[0]
+    reference = max(seen, key=lambda one: float(np.hypot(*one.a_px)))
+
+    def vector(one: Measurement) -> FloatArray:
+        a = one.a_px if float(one.a_px @ reference.a_px) >= 0 else -one.a_px
+        b = one.b_px if float(one.b_px @ reference.b_px) >= 0 else -one.b_px
+        return np.concatenate((one.centre_px, a, b))
+
+    weight = np.array([1 / max(float(np.trace(one.covariance_px2[2:4, 2:4])), 1e-12) for one in seen])
+    weight /= weight.sum()
+    value = np.sum([w * vector(one) for w, one in zip(weight, seen, strict=True)], axis=0)
+    covariance = np.sum([w**2 * one.covariance_px2 for w, one in zip(weight, seen, strict=True)], axis=0)
+    flags = {flag for one in single for flag in one.flags}
+    if not all(Flag.AT_REST in one.flags for one in single):
+        flags.discard(Flag.AT_REST)
+    blur = float(weight @ np.array([one.extra_blur_px2 for one in seen]))
+    chi2 = float(weight @ np.array([one.chi2 for one in seen]))
+    return Measurement(sharp.name, value[:2], value[2:4], value[4:], covariance, False, frozenset(flags), blur, chi2)
 
 
 def _report(
@@ -90,7 +134,7 @@ def _report(
     direction = value[2:] / max(size, 1e-12)
     if size < 3.0 * float(np.sqrt(direction @ cov[2:, 2:] @ direction)):
         flags.add(Flag.AT_REST)
-    elif runner_up is not None and runner_up.cost - best.cost < 9.0 * max(best.chi2, 1.0):
+    elif runner_up is not None and runner_up.cost - best.cost < 4.0 * max(best.chi2, 1.0):
         flags.add(Flag.AMBIGUOUS)
     return Measurement(
         sharp.name,

@@ -17,7 +17,7 @@ from labdaemon.blur.whole_cycles import measure_whole_cycles
 from labdaemon.flags import Flag
 
 COVERED_CHI2 = 2.5  # residuals from which something in front is looked for; a motion's own harmonics make less
-WHOLE = 0.005  # cycles from whole below which the window's phase does not show
+WHOLE = 0.01  # cycles from whole below which the window's phase does not show
 PART = 0.05  # cycles from whole above which a model of whole cycles is biased
 
 

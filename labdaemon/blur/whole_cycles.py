@@ -66,7 +66,10 @@ def measure_whole_cycles(
         best = _fit_straight(sharp, setting, blur, free, a, scale, converged=quick is not None)
         spread = honest_covariance(sharp, best, setting.planes)
         a, b, covariance = _straight_axes(best.p, spread, k, float(sd[1]))
-    flags = flags | reach_flags(sharp, best, a, b)
+    found_flags = reach_flags(sharp, best, a, b)
+    if Flag.PART_CYCLES in flags and Flag.POOR_FIT not in sharp.flags:
+        found_flags.discard(Flag.POOR_FIT)  # the part cycle explains what is left over
+    flags = flags | found_flags
     size = float(np.hypot(*a))
     along = a / max(size, 1e-12)
     sd_along = float(np.sqrt(along @ covariance[2:4, 2:4] @ along))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -13,9 +13,11 @@ from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.motion import ExtraBlur, Window
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, light_level, solve
+from labdaemon.blur.solve import Model, Prior, Solution, light_level, render_light, solve, solve_light
 from labdaemon.blur.weights import pixel_weights, shape_precision
 
+SHORT_LIST = 5  # starts that are followed to their end
+DIFFERENT = 16.0  # squared distance, in the best solution's own deviations, from which another is not the same one
 FRAME = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's
 
 
@@ -34,26 +36,58 @@ def solve_windowed(
         mean[FRAME * index + 2] = blur.mean_px2
     precision[FRAME * count : FRAME * count + k, FRAME * count : FRAME * count + k] = shape_precision(sharp)
     prior = Prior(mean, precision)
-    values, vectors = np.linalg.eigh(spread)
-    major = np.sqrt(max(values[1], 0.05)) * vectors[:, 1]
-    minor = np.sqrt(max(values[0], 0.02)) * vectors[:, 0]
-    solutions = []
-    for psi in np.arange(8) * np.pi / 4:
-        for turn in (1.0, -1.0) if values[0] > 0.1 * values[1] else (1.0,):
-            c, s = np.cos(psi), np.sin(psi)
-            a, b = major * c - turn * minor * s * 0.7, major * s + turn * minor * c * 0.7
-            start = np.concatenate(
-                [*([*x.start_px, e.mean_px2] for x, e in zip(settings, blurs, strict=True)), np.zeros(k), a, b]
-            )
-            for index, window in enumerate(windows):
-                basis, weight = window_nodes(window, 3.0)
-                start[FRAME * index : FRAME * index + 2] -= a * (basis[0] @ weight) + b * (basis[1] @ weight)
-            solutions.append(solve(planes, pixel_weights(sharp, planes), model, start, prior, max_iterations=25))
+    weights = pixel_weights(sharp, planes)
+    fixed = np.concatenate([*([*x.start_px, e.mean_px2] for x, e in zip(settings, blurs, strict=True)), np.zeros(k)])
+    starts = [_begin(fixed, windows, a, b) for a, b in _round_the_circle(spread)]
+    costs = [_rough_cost(planes, weights, model, start) for start in starts]
+    promising = [starts[index] for index in np.argsort(costs)[:SHORT_LIST]]
+    solutions = [solve(planes, weights, model, start, prior, max_iterations=25) for start in promising]
+    best = min(solutions, key=lambda x: x.cost)
+    # An orbit run through the other way round looks almost alike.
+    mirrored = _begin(fixed, windows, *_other_way_round(best.p[-4:-2], best.p[-2:]))
+    solutions.append(solve(planes, weights, model, mirrored, prior, max_iterations=25))
     solutions.sort(key=lambda x: x.cost)
     best = solutions[0]
-    size_px = float(np.linalg.norm(best.p[-4:]))
-    others = [x for x in solutions[1:] if float(np.linalg.norm(x.p[-4:] - best.p[-4:])) > 0.3 * size_px]
+    information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)
+    away = [(x, x.p[-4:] - best.p[-4:]) for x in solutions[1:]]
+    others = [x for x, d in away if float(d @ information @ d) > DIFFERENT]
     return best, others[0] if others else None
+
+
+def _round_the_circle(spread: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Vectors a and b with the smear's second moment, at eight phases and, for an orbit, in both senses."""
+    values, vectors = np.linalg.eigh(spread)
+    major = np.sqrt(max(values[1], 0.05)) * vectors[:, 1]
+    minor = 0.7 * np.sqrt(max(values[0], 0.02)) * vectors[:, 0]
+    pairs = []
+    for psi in np.arange(8) * np.pi / 4:
+        for turn in (1.0, -1.0) if values[0] > 0.02 * values[1] else (1.0,):
+            c, s = np.cos(psi), np.sin(psi)
+            pairs.append((major * c - turn * minor * s, major * s + turn * minor * c))
+    return pairs
+
+
+def _other_way_round(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same ellipse and the same phase along its major axis, run through in the other sense."""
+    _, vectors = np.linalg.eigh(np.outer(a, a) + np.outer(b, b))
+    mirror = np.eye(2) - 2 * np.outer(vectors[:, 0], vectors[:, 0])
+    return mirror @ a, mirror @ b
+
+
+def _begin(fixed: FloatArray, windows: Sequence[Window], a: FloatArray, b: FloatArray) -> FloatArray:
+    """Parameters to start from; the smear's middle is the mean place plus what the window adds to it."""
+    start = np.concatenate((fixed, a, b))
+    for index, window in enumerate(windows):
+        basis, weight = window_nodes(window, 3.0)
+        start[FRAME * index : FRAME * index + 2] -= a * (basis[0] @ weight) + b * (basis[1] @ weight)
+    return start
+
+
+def _rough_cost(planes: Planes, weights: Callable[[FloatArray], FloatArray], model: Model, start: FloatArray) -> float:
+    dark, _ = model(start)
+    weight = weights(np.maximum(planes.values, 0))
+    light = solve_light(planes, weight, dark)
+    return float(np.sum(weight * (planes.values - render_light(planes, light, dark)) ** 2))
 
 
 def stack(parts: list[Planes]) -> Planes:
