@@ -120,7 +120,8 @@ def find_ends(dark: FloatArray, bed: Bed, count: int) -> Ends | None:
     -------
     The two ends; None where the profiles show no features that make two ellipses.
     """
-    along = np.arange(-bed.half_length_px * 1.25 - 8.0, bed.half_length_px * 1.25 + 8.0, STEP_PX)
+    reach = bed.half_length_px * 1.05 + 4.0
+    along = np.arange(-reach, reach, STEP_PX)
     across = bed.half_width_px * 0.9 * np.linspace(-1.0, 1.0, count)
     axis = np.array([np.cos(bed.angle_rad), np.sin(bed.angle_rad)])
     side = np.array([-axis[1], axis[0]])
@@ -169,7 +170,7 @@ def _features(profile: FloatArray, slope: FloatArray, bend: FloatArray) -> tuple
         core = int(np.argmax(profile))
         up, down = [k for k in up if k < core], [k for k in down if k > core]
     else:
-        up, down = _one_a_half(slope, up), _one_a_half(-slope, down)
+        up, down = sorted({*up, *_one_a_half(slope)}), sorted({*down, *_one_a_half(-slope)})
     if not up or not down or not up[0] < down[-1]:
         return None
     return (
@@ -185,11 +186,12 @@ def _strong(values: FloatArray) -> list[int]:
     return [k for k in _peaks(values) if values[k] >= 0.35 * float(values.max())]
 
 
-def _one_a_half(values: FloatArray, peaks: list[int]) -> list[int]:
-    """The highest peak in each half of a profile."""
-    half = len(values) // 2
+def _one_a_half(values: FloatArray) -> list[int]:
+    """The highest peak in each half of a profile, if it has at least 15 % of the highest of all."""
+    peaks, half = _peaks(values), len(values) // 2
     sides = ([k for k in peaks if k < half], [k for k in peaks if k >= half])
-    return [max(side, key=lambda k: values[k]) for side in sides if side]
+    best = [max(side, key=lambda k: values[k]) for side in sides if side]
+    return [k for k in best if values[k] >= 0.15 * float(values.max())]
 
 
 def _bend_beside(slope: FloatArray, bend: FloatArray, peak: int, direction: int) -> float:
