@@ -9,6 +9,7 @@ from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry import ImageMotion, Joined, ObjectMotion, join, join_targets, settle_by_continuity
 from labdaemon.geometry.harmonic import project_motion
+from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.orbit import principal_axes
 
 TWO = [(-500, -1000, 300), (500, -1000, 500)]
@@ -298,3 +299,57 @@ def test_a_column_that_is_open_as_a_whole_is_not_settled_by_another(look) -> Non
             motion = result.motions[name]
             wrong += not motion.flags and np.linalg.norm(difference(motion.a_mm, a)) > 0.15
     assert wrong == 0
+
+
+def blur_measurement(view, mean, a, b, rng, sd_moment: float = 0.02, sd_px: float = 0.012) -> ImageMotion:
+    """What a fit by second moments reports: no minor axis where its square is within three deviations of nothing."""
+    numbers = project_motion(view.project_with_jacobians, np.stack([mean, a, b]))[0]
+    major, minor, _ = principal_axes(numbers[2:4], numbers[4:], np.zeros((4, 4)))
+    along = major / np.linalg.norm(major)
+    across = np.array([-along[1], along[0]])
+    covariance = np.eye(6) * sd_px**2
+    square = float(minor @ minor) + rng.normal(0, sd_moment)
+    seen = square > 3 * sd_moment
+    length = np.sqrt(square) if seen else 0.0
+    sd_minor = sd_moment / (2 * length) if seen else np.sqrt(sd_moment)
+    covariance[4:, 4:] = sd_minor**2 * np.outer(across, across)
+    a_px = major + rng.normal(0, sd_px, 2)
+    return ImageMotion(numbers[:2] + rng.normal(0, sd_px, 2), a_px, length * across, covariance)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> None:
+    """Short orbits whose minor axis no picture shows for sure: nothing wrong without a flag, b within its deviation."""
+    rng = np.random.default_rng(seed)
+    views = [look(place, lens=Lens((1936, 1296), (1968.8, 1968.8), (970.0, 650.0))) for place in THREE]
+    off, minor_pulls = [], []
+    for _ in range(40):
+        mean = rng.uniform([-150, -80, 150], [150, 80, 600])
+        a = rng.normal(0, 1, 3)
+        a *= np.exp(rng.uniform(np.log(0.3), np.log(2.0))) / np.linalg.norm(a)
+        b = np.cross(a, rng.normal(0, 1, 3))
+        b *= 0.4 * np.linalg.norm(a) / np.linalg.norm(b)
+        joined = join(views, [blur_measurement(v, mean, a, b, rng) for v in views])
+        if joined.motion.flags:
+            continue
+        size, error = np.linalg.norm(a), np.linalg.norm(difference(joined.motion.a_mm, a))
+        off.append(error > 0.1 * size + 0.1)
+        sd = np.sqrt(np.diag(joined.motion.covariance_mm2)[6:])
+        minor_pulls.append(difference(joined.motion.b_mm, b) / sd)
+    assert len(off) >= 30
+    assert sum(off) <= 1
+    assert np.quantile(np.abs(minor_pulls), 0.95) < 4
+
+
+def test_a_minor_axis_of_zero_says_how_large_it_may_be(look) -> None:
+    """Straight to the pictures: b is 0, and its deviation is what they leave open, not what their covariance lacks."""
+    rng = np.random.default_rng(2)
+    views = cameras(look, THREE)
+    mean, a = np.array([20.0, 10.0, 370.0]), np.array([3.0, 0.5, 0.3])
+    joined = join(views, [blur_measurement(v, mean, a, 0 * a, rng) for v in views])
+    spread = joined.motion.covariance_mm2[6:, 6:]
+    along = a / np.linalg.norm(a)
+    assert np.all(joined.motion.b_mm == 0)
+    assert along @ spread @ along < 0.01**2  # at right angles to a by definition
+    assert np.sqrt(np.trace(spread)) > 0.02  # the root of what a square of 0.02 px² leaves open, 0.14 px
+    assert np.sqrt(np.trace(spread)) < 0.5
