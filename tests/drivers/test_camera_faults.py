@@ -154,5 +154,5 @@ def test_unplugged_while_waiting(rig, camera):
 def test_another_body_in_its_place(rig, camera):
     rig.bus.unplug("left")
     camera.close()
-    with pytest.raises(TransportError, match=r"6000001.*found NIKON DSC D80 6000002"):
+    with pytest.raises(TransportError, match=r"6000001.*found one with serial number 6000002"):
         camera.connect()

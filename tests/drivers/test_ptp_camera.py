@@ -22,6 +22,36 @@ def test_a_body_is_known_by_its_number(rig, make_camera):
         make_camera("77")
 
 
+def test_bodies_that_tell_their_number_only_when_asked(rig, make_camera, monkeypatch):
+    """Without the number in the USB descriptor each is asked in turn, and let go if it is another."""
+    monkeypatch.setattr("labdrivers.ptp.find._descriptor_serial", lambda device: None)
+    right = make_camera("6000002")
+    assert right.connect().serial == "6000002"
+    assert make_camera("6000001").connect().serial == "6000001"  # the right one's claim is not in the way
+    right.close()
+    with pytest.raises(TransportError, match=r"found NIKON DSC D80 with serial number 6000002, and one that cannot"):
+        make_camera("77")
+    assert right.connect().serial == "6000002"
+
+
+def connects_in_vain(camera):
+    with pytest.raises(TransportError):
+        camera.connect()
+
+
+def test_a_dead_body_keeps_no_other_waiting(rig, make_camera):
+    rig.bus.cameras["left"].faults.inject("silent")
+    left, right = make_camera(connect=False, timeout_s=2.0), make_camera("6000002", connect=False)
+    waiting = threading.Thread(target=connects_in_vain, args=(left,))
+    waiting.start()
+    time.sleep(0.2)
+    start = time.monotonic()
+    right.connect()
+    assert time.monotonic() - start < 1.0
+    rig.bus.unplug("left")
+    waiting.join(10)
+
+
 def test_zeros_before_the_number_do_not_matter(make_camera):
     assert make_camera("0006000001").connect().serial == "6000001"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import Any
@@ -16,7 +15,7 @@ from labdrivers.ptp.transport import UsbPipe, still_image_interface
 
 BACKEND_GROUP = "labdaemon.usb_backends"
 _PROBING = threading.Lock()
-"""Only one camera's driver looks around at a time: probing claims devices for a moment."""
+"""Only one camera's driver asks around at a time: it claims, for a moment, bodies that may be another's."""
 
 
 def load_backend(name: str, url: str | None, *, key: str) -> Any:
@@ -50,37 +49,43 @@ def open_camera(name: str, serial: str, backend: Any, *, timeout_s: float) -> tu
     TransportError
         It is not on the bus (the message lists which are), or is held by another program.
     """
-    seen: list[str] = []
+    told = [(device, _descriptor_serial(device)) for device in _cameras(name, backend)]
+    for device, own in told:
+        if own is not None and _same(own, serial):
+            return _open(name, device, timeout_s)
+    seen = [f"one with serial number {own}" for _, own in told if own is not None]
     held: DeviceError | None = None
     with _PROBING:
-        for device in _likely_first(_cameras(name, backend), serial):
-            descriptor = _descriptor_serial(device)
+        for device in (device for device, own in told if own is None):
             try:
-                pipe = UsbPipe(name, device)
-            except TransportError as exc:
-                if descriptor is not None and _same(descriptor, serial):
-                    raise
+                pipe, session = _open(name, device, timeout_s)
+            except DeviceError as exc:
                 held = exc
                 continue
-            try:
-                session = PtpSession(pipe, timeout_s=timeout_s)
-                session.open()
-                if _same(session.info.serial, serial):
-                    return pipe, session
-                seen.append(f"{session.info.model} {session.info.serial}")
-                session.close()
-            except DeviceError as exc:
-                if descriptor is not None and _same(descriptor, serial):
-                    pipe.close()
-                    raise
-                held = exc
+            if _same(session.info.serial, serial):
+                return pipe, session
+            seen.append(f"{session.info.model} with serial number {session.info.serial}")
+            session.close()
             pipe.close()
-    found = f"found {'; '.join(seen)}" if seen else "found no camera"
+    found = f"found {', '.join(seen)}" if seen else "found no camera"
     trouble = f", and one that cannot be asked ({held})" if held is not None else ""
     raise TransportError(
         f"no camera with serial number {serial} on USB ({found}{trouble}); switch it on and check its cable",
         device=name,
     )
+
+
+def _open(name: str, device: Any, timeout_s: float) -> tuple[UsbPipe, PtpSession]:
+    """Claim a device, open a session and ask who it is; nothing stays claimed when that fails."""
+    pipe = UsbPipe(name, device)
+    try:
+        session = PtpSession(pipe, timeout_s=timeout_s)
+        session.open()
+        session.info  # noqa: B018 - asked here, so that a body that cannot tell is let go
+    except DeviceError:
+        pipe.close()
+        raise
+    return pipe, session
 
 
 def _cameras(name: str, backend: Any) -> list[Any]:
@@ -89,14 +94,6 @@ def _cameras(name: str, backend: Any) -> list[Any]:
         return [device for device in found if still_image_interface(device) is not None]
     except (usb.core.USBError, usb.core.NoBackendError) as exc:
         raise TransportError(f"USB cannot be searched ({exc})", device=name) from exc
-
-
-def _likely_first(devices: list[Any], serial: str) -> Iterator[Any]:
-    """Cameras whose USB descriptor has the serial number; others only if they do not tell it there."""
-    told = [(device, _descriptor_serial(device)) for device in devices]
-    exact = [device for device, own in told if own is not None and _same(own, serial)]
-    yield from exact
-    yield from (device for device, own in told if not exact or own is None if device not in exact)
 
 
 def _descriptor_serial(device: Any) -> str | None:
