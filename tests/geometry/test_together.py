@@ -109,3 +109,26 @@ def test_bad_input_names_the_camera(look, control_mm, lens) -> None:
     flat = [ControlPoint(p.name, p.position_mm * [1, 0, 1], p.sd_mm) for p in survey]
     with pytest.raises(DataError, match="all lie in a plane"):
         orient_together(lenses, sightings, flat)
+
+
+def test_control_that_is_held_fixed(look, control_mm, lens) -> None:
+    """A survey of standard deviation 0 does not move; the cameras answer for the residuals."""
+    rng = np.random.default_rng(8)
+    views, sightings, _, _ = scene(look, control_mm, rng)
+    survey = [ControlPoint(str(i), place, 0.0) for i, place in enumerate(control_mm)]
+    together = orient_together(dict.fromkeys(views, lens), sightings, survey)
+    np.testing.assert_array_equal(together.points["3"], control_mm[3])
+    sd = np.sqrt(np.diag(together.covariance))
+    for i, (name, view) in enumerate(views.items()):
+        error = together.views[name].position_mm - view.position_mm
+        assert np.all(np.abs(error) < 4 * sd[6 * i + 3 : 6 * i + 6])
+
+
+def test_one_camera_is_oriented_too(look, control_mm, lens) -> None:
+    rng = np.random.default_rng(9)
+    views, sightings, survey, _ = scene(look, control_mm, rng)
+    together = orient_together({"left": lens}, {"left": sightings["left"]}, survey)
+    assert list(together.views) == ["left"]
+    assert together.covariance.shape == (6, 6)
+    sd = np.sqrt(np.diag(together.covariance))[3:]
+    assert np.all(np.abs(together.views["left"].position_mm - views["left"].position_mm) < 4 * sd)
