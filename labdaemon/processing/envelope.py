@@ -11,9 +11,11 @@ import numpy as np
 
 from labdaemon.blur.motion import Measurement
 from labdaemon.flags import Flag
+from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
 from labdaemon.geometry.plane import motion_on_plane
+from labdaemon.geometry.view import View
 from labdaemon.processing.folder import DataFolder, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.sharpset import SharpSet
@@ -21,6 +23,9 @@ from labdaemon.processing.tables import Row, envelope_row, measurement_row
 
 SPOILT = frozenset({Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT})
 """Flags for which a camera is left out where two others see a target well."""
+
+AGREE, AGREE_PX = 18.5, 0.02
+"""Squared normalised discrepancy of four numbers that chance exceeds once in a thousand; what no camera does better."""
 
 _Seen: TypeAlias = Mapping[str, Mapping[str, Measurement]]
 
@@ -111,11 +116,12 @@ def join_frames(
         for measurement in frame.measurements:
             by_target[measurement.target][frame.camera] = measurement
             rows.append(measurement_row(name, frame.camera, measurement))
-    joined = _on_plane(sharp, frames[0], by_target) if sharp.plane is not None else _in_space(sharp, frames, by_target)
+    views = _views(sharp, frames)
+    joined = _on_plane(sharp, frames[0], by_target) if sharp.plane is not None else _in_space(sharp, views, by_target)
     envelope = []
     for target, sure in zip(sharp.targets, sharp.sure, strict=True):
         motion = joined.get(target)
-        flags = _flags(sharp, by_target[target], motion, sure=bool(sure))
+        flags = _flags(by_target[target], motion, views, sure=bool(sure))
         envelope.append(envelope_row(name, target, motion, flags))
     files = folder.capture(captures[-1]).frames
     drawn = tuple((camera, file.relative_to(folder.root)) for camera, file in files.items())
@@ -142,12 +148,17 @@ def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str
     return result
 
 
-def _in_space(sharp: SharpSet, frames: Sequence[FrameResult], by_target: _Seen) -> dict[str, ObjectMotion]:
-    """Several cameras: each as it stood in this capture."""
-    views = {}
-    for camera, frame in zip(sharp.cameras, frames, strict=True):
-        # The captures of a group lie apart by less than a camera moves; the first one's place stands for all.
-        views[camera.name] = frame.motions[0].view if frame.motions else camera.view
+def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, View]:
+    """Each camera as it stood in this capture."""
+    # The captures of a group lie apart by less than a camera moves; the first one's place stands for all.
+    return {
+        camera.name: frame.motions[0].view if frame.motions else camera.view
+        for camera, frame in zip(sharp.cameras, frames, strict=True)
+    }
+
+
+def _in_space(sharp: SharpSet, views: Mapping[str, View], by_target: _Seen) -> dict[str, ObjectMotion]:
+    """Several cameras: what their rays say together."""
     pictures = {
         target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
         for target, seen in by_target.items()
@@ -177,19 +188,41 @@ def _trusted(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
     return clean if len(clean) >= 2 else measured
 
 
-def _flags(sharp: SharpSet, seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, sure: bool) -> set[Flag]:
+def _flags(
+    seen: Mapping[str, Measurement], motion: ObjectMotion | None, views: Mapping[str, View], *, sure: bool
+) -> set[Flag]:
     """What is said of a target, by those cameras that its motion rests on."""
-    several = len(sharp.cameras) > 1
-    used = _trusted(seen) if several and motion is not None else dict(seen)
+    used = _trusted(seen) if len(views) > 1 and motion is not None else dict(seen)
     flags = {flag for one in used.values() for flag in one.flags}
     if motion is None:
         return (flags - {Flag.AT_REST}) | {Flag.NOT_FOUND}
     flags |= motion.flags
+    if Flag.AMBIGUOUS not in motion.flags and _settled_by_others(used, motion, views):
+        flags.discard(Flag.AMBIGUOUS)
     if not all(Flag.AT_REST in one.flags for one in used.values()):
         flags.discard(Flag.AT_REST)
     if not sure:
         flags.add(Flag.AMBIGUOUS)
     return flags
+
+
+def _settled_by_others(used: Mapping[str, Measurement], motion: ObjectMotion, views: Mapping[str, View]) -> bool:
+    """Whether what some cameras could not tell from its mirror image is what another one saw.
+
+    Mirrored pictures in every camera make a mirrored motion in space, so one camera at least must have told; and the
+    joint motion must look in the others as they measured it.
+    """
+    doubtful = {camera: one for camera, one in used.items() if Flag.AMBIGUOUS in one.flags}
+    if len(doubtful) == len(used):
+        return False
+    state = np.stack([motion.mean_mm, motion.a_mm, motion.b_mm])
+    for camera, one in doubtful.items():
+        picture, _, _ = project_motion(views[camera].project_with_jacobians, state)
+        miss = (np.concatenate([one.a_px, one.b_px]) - picture[2:])[:, None]
+        spread = one.covariance_px2[2:, 2:] + AGREE_PX**2 * np.eye(4)
+        if float((miss.T @ np.linalg.solve(spread, miss)).item()) > AGREE:
+            return False
+    return True
 
 
 def _notes(frames: Sequence[FrameResult], name: str) -> list[str]:

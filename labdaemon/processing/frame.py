@@ -15,6 +15,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
 from labdaemon.imaging.frame import Grey, RawFrame
 from labdaemon.imaging.raw import read_frame
+from labdaemon.processing.group import holds_phase, mean_of
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
 from labdaemon.processing.shift import FrameShift, frame_shift
@@ -116,7 +117,7 @@ def measure_raw(
     elif len(frames) == 1:
         found = _measure_one(camera, looks[0], windows[0])
     else:
-        found = [_measure_together(camera, looks, windows, i) for i in range(len(camera.targets))]
+        found = _measure_together(camera, looks, windows)
     if any(_moved(look.shift) for look in looks) or any(motion is not None and motion.moved for motion in motions):
         found = [replace(one, flags=one.flags | {Flag.CAMERA_MOVED}) for one in found]
     return FrameResult(
@@ -197,22 +198,29 @@ def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> 
 
 
 def _measure_together(
-    camera: PreparedCamera, looks: Sequence[_Look], windows: Sequence[Window | None], index: int
-) -> Measurement:
-    """One target in all frames of a group."""
-    target = camera.targets[index]
-    smears = [look.smears[index] for look in looks]
-    known = [window for window in windows if window is not None and window.phase_rad is not None]
-    if len(known) < len(windows) or any(smear is None for smear in smears):
+    camera: PreparedCamera, looks: Sequence[_Look], windows: Sequence[Window | None]
+) -> list[Measurement]:
+    """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean."""
+    phased = [window for window in windows if window is not None and holds_phase(window)]
+    if len(phased) == len(windows):
+        return [_measure_phased(target, looks, phased, index) for index, target in enumerate(camera.targets)]
+    each = [_measure_one(camera, look, window) for look, window in zip(looks, windows, strict=True)]
+    return [mean_of(measured) for measured in zip(*each, strict=True)]
+
+
+def _measure_phased(target: SharpTarget, looks: Sequence[_Look], windows: Sequence[Window], index: int) -> Measurement:
+    cuts, starts, blurs, seen = [], [], [], []
+    for look, window in zip(looks, windows, strict=True):
+        smear = look.smears[index]
+        if smear is not None:
+            cuts.append(_cut(look.frame, target, smear))
+            starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
+            blurs.append(look.shift.extra_blur)
+            seen.append(window)
+    if not cuts:
         return nothing(target)
-    cuts, starts, blurs = [], [], []
-    for look, smear in zip(looks, smears, strict=True):
-        assert smear is not None
-        cuts.append(_cut(look.frame, target, smear))
-        starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
-        blurs.append(look.shift.extra_blur)
-    shared = [blur for blur in blurs if blur is not None]
-    return measure_group(target, cuts, known, extra_blur=shared if len(shared) == len(blurs) else None, starts=starts)
+    known = [blur for blur in blurs if blur is not None]
+    return measure_group(target, cuts, seen, extra_blur=known if len(known) == len(blurs) else None, starts=starts)
 
 
 def _by_paper(camera: PreparedCamera, looks: Sequence[_Look]) -> list[Measurement]:

@@ -23,6 +23,10 @@ from labdaemon.processing.survey import ControlPoint
 from labdaemon.processing.thumbnails import Thumbnail
 
 LEAST_CONTROL = 4
+ORDINARY_PX = (12.0, 200.0)
+"""Diameters of dots that are looked for where nothing is known of their size or distance."""
+SMALLEST_PX = 7.0
+"""Diameter below which a dot cannot be told from anything else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,8 @@ class CameraSurvey:
         Surveyed control targets of the whole rig.
     family, size_mm
         Their kind and size.
+    diameters_mm
+        Sizes of the dots in use.
     volume
         True when several cameras intersect, so that control in one plane will not do.
     """
@@ -45,6 +51,7 @@ class CameraSurvey:
     control: tuple[ControlPoint, ...]
     family: str
     size_mm: float
+    diameters_mm: tuple[float, ...]
     volume: bool
 
 
@@ -136,13 +143,18 @@ def prepare_camera(
     frames = [read_frame(file, expect_size=size) for file in (files if at_rest else files[:1])]
     frame = mean_frame(frames)
     grey = frame.grey()
+    orientation, sizes = None, ORDINARY_PX
     if survey is None:
         control = find_control(frame, frames, grey, TAG_FAMILY)
     else:
         known = [point.name for point in survey.control]
         control = find_control(frame, frames, grey, survey.family, lens=survey.lens, known=known)
         _enough(control, survey, files[0])
-    dots = find_dots(grey, exclude=control.outlines)
+        orientation = _orient(control, survey, files[0])
+        sizes = _sizes(orientation.view, survey)
+    dots = find_dots(grey, diameter_range_px=sizes, exclude=control.outlines)
+    if not dots and sizes != ORDINARY_PX:
+        dots = find_dots(grey, exclude=control.outlines)  # of other sizes than the rig file says: for a better message
     if not dots:
         raise DataError(
             "no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed", file=files[0]
@@ -160,7 +172,7 @@ def prepare_camera(
         tuple(target for _, target in usable),
         tuple(replace(one, contrast=float(c)) for one, c in zip(plain, contrast, strict=True)),
         control,
-        None if survey is None else _orient(control, survey, files[0]),
+        orientation,
         dots=tuple((dot, _around(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
     )
 
@@ -205,6 +217,16 @@ def _enough(control: ControlTargets, survey: CameraSurvey, file: Path) -> None:
         f"at least {LEAST_CONTROL} are needed: check light, focus, [control] family and names",
         file=file,
     )
+
+
+def _sizes(view: View, survey: CameraSurvey) -> tuple[float, float]:
+    """Diameters of dots, px, that may be seen near the control targets: nominal, nearer, farther, badly printed."""
+    places = np.array([(point.x_mm, point.y_mm, point.z_mm) for point in survey.control])
+    depth = view.in_camera(places)[:, 2]
+    focal = float(np.mean(view.lens.focal_px))
+    smallest = 0.7 * min(survey.diameters_mm) * focal / float(depth.max())
+    largest = 1.5 * max(survey.diameters_mm) * focal / float(depth.min())
+    return max(smallest, SMALLEST_PX), max(largest, 2 * SMALLEST_PX)
 
 
 def _around(dot: Dot, frame: RawFrame) -> Patch:

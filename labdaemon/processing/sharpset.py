@@ -73,7 +73,9 @@ def camera_survey(folder: DataFolder, camera: str) -> CameraSurvey:
     assert settings.principal_point_px is not None
     lens = Lens(settings.image_size, settings.focal_px, settings.principal_point_px, settings.distortion)
     rig = folder.rig
-    return CameraSurvey(lens, folder.control, rig.control.family, rig.control.size_mm, len(rig.cameras) > 1)
+    return CameraSurvey(
+        lens, folder.control, rig.control.family, rig.control.size_mm, rig.targets.diameter_mm, len(rig.cameras) > 1
+    )
 
 
 def prepare_in_folder(folder: DataFolder, files: SharpFiles, camera: str) -> PreparedCamera:
