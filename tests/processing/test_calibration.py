@@ -13,6 +13,7 @@ from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.network import Pose
 from labdaemon.geometry.view import rotation_from_vector
 from labdaemon.imaging.codes import dictionary
+from labdaemon.imaging.rings import code_book
 from labdaemon.processing.boards import BoardPicture, Charuco
 from labdaemon.processing.calibration import board_files, calibrate, read_board, weaknesses
 
@@ -58,11 +59,29 @@ def sub_pixel_rays() -> np.ndarray:
     return np.column_stack([slopes, np.ones(len(slopes))])
 
 
-def render(pose: Pose) -> np.ndarray:
-    """A photograph of the ChArUco board: 16-bit linear grey, every pixel a mean of 2 × 2 rays."""
+def charuco_print() -> np.ndarray:
+    """The ChArUco board, 200 pixels a square, with a white margin of one square."""
     pattern = cv2.aruco.CharucoBoard((9, 6), 1.0, 0.75, dictionary("aruco-4x4-100"))
     printed = pattern.generateImage((1800, 1200), marginSize=0, borderBits=1).astype(np.float32) / 255
-    printed = cv2.copyMakeBorder(printed, 200, 200, 200, 200, cv2.BORDER_CONSTANT, value=1.0)
+    return cv2.copyMakeBorder(printed, 200, 200, 200, 200, cv2.BORDER_CONSTANT, value=1.0)
+
+
+def ring_print() -> np.ndarray:
+    """A sheet of 9 × 6 conventional ring codes, one a step, drawn from the code book alone."""
+    printed = np.full((1600, 2200), 255, np.uint8)
+    radius = 26
+    for place, code in enumerate(code_book(12)[:54]):
+        x, y = 300 + 200 * (place % 9), 300 + 200 * (place // 9)
+        for bit in range(12):
+            if code >> (11 - bit) & 1:
+                cv2.ellipse(printed, (x, y), (3 * radius, 3 * radius), 0, 30 * bit, 30 * bit + 30, 0, -1, cv2.LINE_AA)
+        cv2.circle(printed, (x, y), 2 * radius, 255, -1, cv2.LINE_AA)
+        cv2.circle(printed, (x, y), radius, 0, -1, cv2.LINE_AA)
+    return printed.astype(np.float32) / 255
+
+
+def render(pose: Pose, printed: np.ndarray) -> np.ndarray:
+    """A photograph of a board: 16-bit linear grey, every pixel a mean of 2 × 2 rays."""
     rays = sub_pixel_rays() @ pose.rotation
     at = pose.position + rays * (-pose.position[2] / rays[:, 2])[:, None]
     places = (at[:, :2] * 200 + 200 - 0.5).astype(np.float32).reshape(1280, 1920, 2)
@@ -76,7 +95,7 @@ def render(pose: Pose) -> np.ndarray:
 def charuco_folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("board")
     for k, pose in enumerate(poses(12)):
-        cv2.imwrite(str(folder / f"B{k:02d}.png"), render(pose))
+        cv2.imwrite(str(folder / f"B{k:02d}.png"), render(pose, charuco_print()))
     return folder
 
 
@@ -129,6 +148,19 @@ def test_a_charuco_board_from_its_photographs(charuco_folder: Path) -> None:
     pulls = np.abs(result.lens.parameters - LENS.parameters) / result.sd
     assert np.all(pulls < 5), pulls
     assert np.abs(apart).max() < 2.0
+
+
+@pytest.mark.slow
+def test_a_sheet_of_rings_from_its_photographs(tmp_path: Path) -> None:
+    """What `labdaemon targets --kind rings` prints serves as a board: every node is a coded ring."""
+    for k, pose in enumerate(poses(10, distance=9.0)):
+        cv2.imwrite(str(tmp_path / f"R{k:02d}.png"), render(pose, ring_print()))
+    pictures, notes = read_board(board_files(tmp_path))
+    assert len(pictures) >= 9
+    result = calibrate(pictures, notes)
+    assert result.sigma0_px < 0.1
+    pulls = np.abs(result.lens.parameters - LENS.parameters) / result.sd
+    assert np.all(pulls < 5), pulls
 
 
 @pytest.mark.slow
