@@ -11,6 +11,9 @@ implemented as printed, its faults included:
   and it ends softly where the true one is largest. On the same dots the refinement reads 2 to 10 % too little from 1 to
   3 px, then up to 0.8 px too much, and something between 0 and 0.6 px at rest.
 - Nothing is known of noise: the covariance given is the scatter from profile to profile, without any bias.
+
+A rendered D80 frame of 40 dots of 8 mm that move by 0.3 to 12 mm gave a mean error of +0.15 mm, a standard deviation of
+0.10 mm and 95 % within 0.30 mm; the paper reports −0.115, 0.158 and 0.38 mm.
 """
 
 from __future__ import annotations

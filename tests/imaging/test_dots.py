@@ -11,6 +11,7 @@ import pytest
 from labdaemon.blur.pixels import Dot
 from labdaemon.imaging.codes import dictionary
 from labdaemon.imaging.dots import find_dots
+from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.raw import read_frame
 
 CELL = 200
@@ -171,9 +172,11 @@ def published_points(data: Path) -> dict[int, np.ndarray]:
 
 @pytest.mark.slow
 def test_photographs_of_a_dot_sheet_against_a_published_measurement(shared_data: Path) -> None:
-    """2074 points in 21 photographs by another program: found, none invented, centres alike."""
+    """Another program's 2074 points in 21 photographs (here every third one): found, none invented, centres alike."""
     differences, published, invented = [], 0, 0
-    for photo, points in published_points(shared_data).items():
+    everything = published_points(shared_data)
+    assert sum(len(points) for points in everything.values()) == 2074
+    for photo, points in list(everything.items())[::3]:
         file = shared_data / "camcal" / "images" / f"P82500{21 + photo}.JPG"
         grey = (cv2.imread(str(file), cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255) ** np.float32(2.2)
         found = np.array([(d.x_px, d.y_px) for d in find_dots(grey)])
@@ -184,8 +187,7 @@ def test_photographs_of_a_dot_sheet_against_a_published_measurement(shared_data:
         published += len(points)
         invented += int((distance.min(axis=0) > 3.0).sum())
     every = np.concatenate(differences)
-    assert published == 2074
-    assert len(every) >= published - 2
+    assert len(every) >= published - 1
     assert invented == 0
     assert every.std(axis=0).max() < 0.15
 
@@ -219,3 +221,17 @@ def test_noise_is_neither_dot_nor_hides_one(canvas: Any, noise: float) -> None:
     sheet.ellipse(280, 150, 30, 22, 40, 0.05)
     dots = find_dots(sheet.develop(np.random.default_rng(12), noise=noise, hot=200))
     assert len(dots) == 2
+
+
+def test_a_hot_pixel_in_a_dot_does_not_hide_it(canvas: Any) -> None:
+    sheet = canvas(300, 200, ground=0.85)
+    sheet.ellipse(150, 100, 8, 8, 0, 0.05)
+    rng = np.random.default_rng(13)
+    light = sheet.develop(rng, hot=0)
+    pattern = np.array([[0, 1], [3, 2]], dtype=np.uint8)
+    for place in [(100, 150), (98, 147), (103, 155)]:
+        values = (light * 4000).round().astype(np.uint16)
+        values[place] = 4095
+        frame = RawFrame(Path("a.dng"), values, pattern, np.zeros((1, 1)), 4095.0)
+        (dot,) = find_dots(frame)
+        assert np.hypot(dot.x_px - 150, dot.y_px - 100) < 0.15
