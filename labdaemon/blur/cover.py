@@ -85,10 +85,22 @@ def _odd_place(sharp: SharpTarget, setting: Setting, found: Measurement) -> Bool
     if count == 0:
         return None
     power = ndimage.sum_labels(residual**2, labels, np.arange(1, count + 1))
-    place = ndimage.binary_dilation(labels == 1 + int(np.argmax(power)), iterations=3)
-    if place.mean() > MOST_HIDDEN:
+    place = labels == 1 + int(np.argmax(power))
+    if _alike_across(place, residual, found.centre_px - np.asarray(planes.origin_px)):
         return None
-    return place
+    place = ndimage.binary_dilation(place, iterations=3)
+    return None if place.mean() > MOST_HIDDEN else place
+
+
+def _alike_across(place: BoolArray, residual: FloatArray, centre: FloatArray) -> bool:
+    """Whether residuals opposite a place are of its kind: to and fro a wrong motion errs alike, a cover does not."""
+    ys, xs = np.nonzero(place)
+    x, y = np.rint(2 * centre[0] - xs).astype(int), np.rint(2 * centre[1] - ys).astype(int)
+    inside = (x >= 0) & (y >= 0) & (x < residual.shape[1]) & (y < residual.shape[0])
+    if np.count_nonzero(inside) < 0.5 * len(xs):
+        return False
+    here, there = residual[ys[inside], xs[inside]], residual[y[inside], x[inside]]
+    return bool(float(here @ there) > 0.3 * float(here @ here))
 
 
 def _fixed(found: Measurement) -> Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:

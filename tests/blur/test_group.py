@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+
+from labdaemon.blur import Dot, ExtraBlur, Window, fit_sharp, measure_group
+from labdaemon.errors import UsageError
+
+STILL = ExtraBlur(0.0, 0.01)
+
+
+@pytest.fixture(scope="module")
+def sharp(area):
+    scene = area.Scene(radius_px=12.0)
+    patch = area.render(scene, (60, 60), (30.2, 29.7), seed=1)
+    return fit_sharp(Dot(30, 30, 12, 12, 0.0, name="t"), [patch], noise=scene.noise)
+
+
+def frames(area, motion, cycles, phases, drift=0.1):
+    scene = area.Scene(radius_px=12.0)
+    return [
+        area.render(
+            scene, (72, 76), (38 + drift * i, 36), area.part_cycles(*motion, cycles, p), seed=3 + i, samples=440
+        )
+        for i, p in enumerate(phases)
+    ]
+
+
+@pytest.mark.parametrize("motion", [(3.0, 1.0, 0.0, 0.0), (2.0, -0.5, -2.0, 0.5), (-2.5, 0.6, 1.2, 1.8)])
+def test_two_phases_a_quarter_apart_give_signed_vectors_whatever_the_drift(area, sharp, motion):
+    phases = (0.4, 0.4 + np.pi / 2)
+    windows = [Window(5.5, 1.0, p, 0.005, 0.0002) for p in phases]
+    found = measure_group(sharp, frames(area, motion, 5.5, phases), windows, extra_blur=STILL)
+    truth = np.array(motion)
+    got = np.concatenate((found.a_px, found.b_px))
+    sd = np.sqrt(np.diag(found.covariance_px2)[2:])
+    assert found.phased
+    assert np.all(np.abs(got - truth) < 4 * sd + 0.01)
+    overlap = np.vdot(truth[:2] + 1j * truth[2:], got[:2] + 1j * got[2:])
+    assert abs(np.degrees(np.angle(overlap))) < 6.0
+    assert not found.flags
+
+
+def test_timing_uncertainty_is_in_the_covariance(area, sharp):
+    phases = (0.4, 0.4 + np.pi / 2)
+    pictures = frames(area, (4.0, 0.0, 0.0, 0.0), 5.5, phases)
+    exact, loose = (
+        measure_group(sharp, pictures, [Window(5.5, 1.0, p, sd) for p in phases], extra_blur=STILL)
+        for sd in (0.0, 0.05)
+    )
+    # both openings off alike turn the phase by as much: 4 px · 0.05 rad / sqrt 2 at least
+    assert loose.covariance_px2[4, 4] > exact.covariance_px2[4, 4] + (0.6 * 4 * 0.05 / np.sqrt(2)) ** 2
+
+
+def test_whole_cycles_hold_no_phase_and_are_averaged(area, sharp):
+    phases = (0.4, 0.4 + np.pi / 2)
+    pictures = frames(area, (3.0, 0.5, 0.0, 0.0), 5.0, phases)
+    found = measure_group(sharp, pictures, [Window(5.0, 1.0, p) for p in phases], extra_blur=STILL)
+    assert not found.phased
+    assert not found.flags
+    assert np.hypot(*(found.a_px - (3.0, 0.5))) < 0.03
+
+
+def test_a_group_needs_its_phases(area, sharp):
+    pictures = frames(area, (3.0, 0.5, 0.0, 0.0), 5.5, (0.1,))
+    with pytest.raises(UsageError, match="phase"):
+        measure_group(sharp, pictures, [Window(5.5, 1.0)])
+    with pytest.raises(UsageError, match="window"):
+        measure_group(sharp, pictures, [])
