@@ -109,10 +109,10 @@ class Exposure:
     exposure_s: float
     cycles: float | None
 
-    @property
-    def part_cycles(self) -> float:
-        """Distance from whole cycles, 0 to 0.5; 0 without excitation."""
-        return 0.0 if self.cycles is None else abs(self.cycles - round(self.cycles))
+
+def part_cycle(cycles: float) -> float:
+    """Distance from whole cycles, 0 to 0.5."""
+    return abs(cycles - round(cycles))
 
 
 def choose_exposure(
@@ -144,7 +144,7 @@ def choose_exposure(
         return Exposure(best, None)
 
     def badness(step: float) -> tuple[float, float]:
-        part = abs(step * frequency_hz - round(step * frequency_hz))
+        part = part_cycle(step * frequency_hz)
         miss = 0.5 - part if half_cycles else part
         return round(miss / TIE_CYCLES), abs(math.log2(step / nominal_s))
 

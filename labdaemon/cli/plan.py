@@ -14,12 +14,15 @@ from labdaemon.campaign.campaign_file import load_campaign
 from labdaemon.campaign.limits import ShakerLimits, largest_amplitude_mm, peak_acceleration_mm_s2, peak_velocity_mm_s
 from labdaemon.campaign.plan import make_plan
 from labdaemon.campaign.steps import Plan, Step
+from labdaemon.capture.exposure import part_cycle
 from labdaemon.cli.progress import duration
 from labdaemon.cli.remote import ask
 from labdaemon.errors import UsageError
 from labdaemon.service.config import load_rig, plan_rig
 from labdaemon.stream.client import COMMANDS, NoDaemon
 
+WHOLE_WITHIN_CYCLES = 0.05
+"""Further from whole than this a capture without phase is flagged `part_cycles`."""
 SIMULATED_RIG = Path("config/sim.toml")
 
 
@@ -45,6 +48,8 @@ def plan(campaign: Path, config: Path | None, address: str, as_json: bool) -> No
         return
     for line in table(made, rig.limits):
         click.echo(line)
+    if any(_star(shot.cycles) == "*" for step in made.steps for shot in step.shots):
+        click.echo("* a part cycle: measured with the shutter's true window, which takes the excitation's phase")
     click.echo(
         f"{len(made.steps)} steps, {sum(len(step.shots) for step in made.steps)} captures, about "
         f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
@@ -66,7 +71,7 @@ def _known_rig(address: str) -> Path:
 def table(made: Plan, limits: ShakerLimits | None) -> list[str]:
     """The steps as lines of text; the last column is the share of the tightest of the table's limits."""
     head = (
-        f"{'step':<26}{'f Hz':>8}{'A mm':>8}{'v mm/s':>8}{'a mm/s²':>9}{'shots':>6}{'exposure s':>12}{'cycles':>8}"
+        f"{'step':<26}{'f Hz':>8}{'A mm':>8}{'v mm/s':>8}{'a mm/s²':>9}{'shots':>6}{'exposure s':>12}{'cycles':>8} "
         f"{'time':>9}{'limit':>7}"
     )
     return [head, *(_line(step, limits) for step in made.steps)]
@@ -85,11 +90,15 @@ def _line(step: Step, limits: ShakerLimits | None) -> str:
             share = f"{amplitude / largest_amplitude_mm(limits, frequency):.0%}"
     shot = step.shots[0] if step.shots else None
     exposure = f"{shot.exposure_s:.4g}" if shot else ""
-    cycles = f"{shot.cycles:.2f}" if shot and shot.cycles is not None else ""
+    cycles = f"{shot.cycles:.2f}{_star(shot.cycles)}" if shot and shot.cycles is not None else ""
     return (
         f"{step.label:<26}{motion[0]:>8}{motion[1]:>8}{motion[2]:>8}{motion[3]:>9}{len(step.shots) or '':>6}"
-        f"{exposure:>12}{cycles:>8}{duration(step.predicted_s):>9}{share:>7}"
+        f"{exposure:>12}{cycles:>9}{duration(step.predicted_s):>9}{share:>7}"
     ).rstrip()
+
+
+def _star(cycles: float | None) -> str:
+    return "*" if cycles is not None and part_cycle(cycles) > WHOLE_WITHIN_CYCLES else " "
 
 
 def _document(made: Plan) -> dict[str, Any]:
