@@ -22,7 +22,7 @@ SD_CENTRE_PX = 0.03
 """What a control target's centre is good to at best: print, paper that is not flat, lens model."""
 SD_UNFITTED_PX = 0.3
 """A tag whose sides could not be fitted keeps its corners as first seen."""
-WIDEST_PX = 88
+WIDEST_PX = 56
 """Of a control target no more than this is compared with later frames: enough edges, and quick."""
 RIM_PX = 8
 
