@@ -43,7 +43,7 @@ OUTCOMES = {
     "wrong_transaction": (DeviceError, ANY),
     "stall": (None, ""),
     "stall_out": (TransportError, "pipe error"),
-    "pipe_error": (TransportError, "pipe error|no answer"),
+    "pipe_error": (TransportError, "pipe error"),
     "cut_data": (TransportError, "no answer"),
     "late_zlp": (None, ""),
     "no_zlp": (None, ""),

@@ -158,6 +158,20 @@ def test_a_broken_download_goes_on_where_it_broke(rig, camera, tmp_path):
     assert asked == [0, 1 << 20, 1 << 20, 2 << 20]
 
 
+@pytest.mark.parametrize("size", [100, 5000])
+def test_a_pipe_error_is_noticed_at_once(rig, make_camera, tmp_path, size):
+    """Also where the data phase was whole and only the response is missing."""
+    camera = make_camera(timeout_s=10.0)
+    rig.bus.cameras["left"].body.card.add(bytes(size))
+    (file,) = camera.files()
+    rig.bus.cameras["left"].faults.inject("pipe_error", count=1)
+    start = time.monotonic()
+    with pytest.raises(TransportError, match="pipe error"):
+        camera.download(file, tmp_path / "f")
+    assert time.monotonic() - start < 1.0
+    camera.download(file, tmp_path / "f")
+
+
 def test_a_longer_file_in_the_way_is_written_over(rig, camera, tmp_path):
     rig.bus.cameras["left"].body.card.add(b"short")
     (file,) = camera.files()

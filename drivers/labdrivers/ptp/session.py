@@ -172,8 +172,8 @@ class PtpSession:
 
     def _answer(self, operation: int, transaction: int, deadline: float) -> Reply:
         data = b""
-        for _ in range(STALE_CONTAINERS):
-            header, payload = self._pipe.receive(deadline)
+        for count in range(STALE_CONTAINERS):
+            header, payload = self._pipe.receive(deadline, first=count == 0)
             if header.transaction != transaction or (header.kind == Kind.DATA and header.code != operation):
                 continue  # left over from a transaction that was given up
             if header.kind == Kind.DATA:

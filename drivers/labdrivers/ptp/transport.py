@@ -88,10 +88,25 @@ class UsbPipe:
             if len(container) % self._out.wMaxPacketSize == 0:
                 self._out.write(b"", _ms(timeout_s))
 
-    def receive(self, deadline: float) -> tuple[Header, bytes]:
-        """Read one container; raises `TransportError` when it is not complete by `deadline` (monotonic seconds)."""
+    def receive(self, deadline: float, *, first: bool = True) -> tuple[Header, bytes]:
+        """Read one container.
+
+        Parameters
+        ----------
+        deadline
+            `time.monotonic` seconds.
+        first
+            Nothing of this transaction was read yet: a stall is cleared and read over once. Later it is a fault.
+
+        Raises
+        ------
+        TransportError
+            It is not complete by then, or the pipe broke.
+        ProtocolError
+            What came is none.
+        """
         data, self._left_over = self._left_over, bytearray()
-        data += self._read(self._packet, deadline, first=True) if len(data) < HEADER.size else b""
+        data += self._read(self._packet, deadline, first=first) if len(data) < HEADER.size else b""
         if len(data) < HEADER.size:
             data += self._read(self._packet, deadline)
         try:
