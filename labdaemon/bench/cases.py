@@ -82,7 +82,7 @@ def cases(quick: bool) -> list[Case]:
     return [
         *programme,
         Case("still", "labels that stay behind", {**more, "still_paper": True}),
-        Case("dim", "a quarter of the light", {**more, "white_dn": 725.0}),
+        Case("dim", "a quarter of the light", {**more, "white_dn": 725.0, "sharp_white_dn": 725.0}),
         Case("clipped", "paper clipped in green", {**more, "white_dn": 4800.0}),
         Case("noisy", "28 e- read noise", {**more, "read_noise_e": 28.0}),
         Case("slope", "light falling by half", {**more, "gradient": (0.5, 0.3)}),

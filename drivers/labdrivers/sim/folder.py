@@ -17,7 +17,7 @@ from labdrivers.sim.render import render_frame
 from labdrivers.sim.scene import Mosaic, Occluder, Scene
 from labdrivers.sim.sensor import Sensor
 
-BLURRED_WHITE_DN = 2900.0
+WHITE_DN = 2900.0
 
 
 def make_folder(
@@ -39,7 +39,8 @@ def make_folder(
     sharp_frames: int = 1,
     camera_shift_px: float = 0.0,
     defocus_px: float = 0.0,
-    white_dn: float = BLURRED_WHITE_DN,
+    white_dn: float = WHITE_DN,
+    sharp_white_dn: float = WHITE_DN,
     occluded: int = 0,
     paper_mm: float | None = None,
     texture: float = 0.004,
@@ -87,8 +88,8 @@ def make_folder(
     camera_shift_px, defocus_px
         How far each blurred frame is shifted on the sensor against the sharp one (in a random direction), and how
         much it is out of focus (diameter of the blur circle).
-    white_dn
-        What white paper reads in the middle of the frame; above 4095 it is clipped.
+    white_dn, sharp_white_dn
+        What white paper reads in the middle of blurred and of sharp frames; above 4095 it is clipped.
     occluded
         How many targets of each blurred frame have a cable hanging before them.
     paper_mm
@@ -153,7 +154,9 @@ def make_folder(
         sensor = replace(body, serial=6000001 + number)
         for k in range(sharp_frames):
             seed_k = seed * 1009 + number * 101 + k
-            sharp = render_frame(layout.scene, camera, optics=optics, sensor=sensor, seed=seed_k, exposure_s=1.0)
+            sharp = render_frame(
+                layout.scene, camera, optics=optics, sensor=sensor, seed=seed_k, white_dn=sharp_white_dn
+            )
             suffix = f"-{k + 1}" if k else ""
             _write(folder / "sharp" / f"{name}{suffix}.dng", sharp.mosaic, sensor, 1.0)
     rows = ["capture,target,x_mm,y_mm,z_mm,ax,ay,az,bx,by,bz,diameter_mm"]
