@@ -61,7 +61,7 @@ def test_amplitude_and_direction_are_within_their_deviations(area, size):
     sharp, _ = sharp_of(area, scene)
     truth = size * np.array([np.cos(0.4), np.sin(0.4)])
     patch, centre = blurred_of(area, scene, truth)
-    found = measure(sharp, patch, extra_blur=STILL, start=Start(np.array(centre) + (2.5, -2.0)))
+    found = measure(sharp, patch, extra_blur=STILL, start=Start(np.add(centre, (2.5, -2.0))))
     sd = np.sqrt(np.diag(found.covariance_px2))
     assert np.all(np.abs(found.a_px - truth) < 4 * sd[2:4])
     assert np.all(np.abs(found.centre_px - centre) < 5 * sd[:2])
