@@ -18,6 +18,7 @@ from labdaemon.campaign.walk import Walker
 from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.recover import reconnect_suspects, recover
+from labdaemon.capture.rig import Rest
 from labdaemon.errors import DeviceError, InterlockError, LabdaemonError
 from labdaemon.journal import transitions
 from labdaemon.journal.storage import StorageFull
@@ -126,7 +127,15 @@ class Attempts:
     async def leave(self) -> None:
         """Table to rest before anything else; what was in flight is settled before the next step."""
         self.needs_recovery = True
-        await self._lab.table.stop()
+        await self.stop_table()
+
+    async def stop_table(self) -> Rest:
+        """Table to rest; a way to rest that did not confirm is told as a fault, though another one did."""
+        rest = await self._lab.table.stop()
+        if rest.troubles:
+            exc = DeviceError(f"brought to rest by {rest.by} stop only: {'; '.join(rest.troubles)}")
+            await self._reporter.fault(exc, campaign=None, step=None, action="look at the shaker")
+        return rest
 
     async def _walk(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
         await self._wait_for_window(step, guard)

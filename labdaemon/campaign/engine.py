@@ -210,7 +210,7 @@ class Engine:
         is_running = record is not None and record.state != "paused" and self.control.wish == "go"
         self.control.want("pause" if is_running else self.control.wish, reason, at_once=True)
         try:
-            return await self.lab.table.stop()
+            return await self.attempts.stop_table()
         finally:
             if record is not None and is_running:
                 await self._move(record, "paused", reason)
@@ -337,7 +337,7 @@ class Engine:
 
     async def _stop_table(self) -> None:
         try:
-            await self.lab.table.stop()
+            await self.attempts.stop_table()
         except InterlockError as exc:
             await self._fault(exc, "use the emergency stop")
 

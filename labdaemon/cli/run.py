@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -18,8 +19,6 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as JSON once it serves.")
 def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool) -> None:
     """Run the daemon for the rig of CONFIG until Ctrl-C or SIGTERM."""
-    import json
-
     from labdaemon.service.config import load_rig
     from labdaemon.service.daemon import Options, run_daemon
     from labdaemon.service.logs import set_up_logs
@@ -36,9 +35,11 @@ def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: 
 
 @click.command("safe-stop")
 @click.argument("config", type=click.Path(dir_okay=False, path_type=Path))
-def safe_stop(config: Path) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def safe_stop(config: Path, as_json: bool) -> None:
     """Bring the table of CONFIG to rest, whatever has become of the daemon: opens shaker and trigger, nothing else."""
     from labdaemon.service.config import load_rig
     from labdaemon.service.safe_stop import stop_table
 
-    click.echo(stop_table(load_rig(config)))
+    told = stop_table(load_rig(config, check_drivers=False, check_files=False))
+    click.echo(json.dumps({"result": told}) if as_json else told)

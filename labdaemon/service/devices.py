@@ -24,18 +24,24 @@ def build_rig(config: RigConfig) -> Rig:
     ConfigError
         No such driver, or it does not understand its section.
     """
+    stoppers = build_stoppers(config)
+    return Rig(
+        stoppers.shaker,
+        stoppers.trigger,
+        {name: _build("camera", camera.driver, name, camera.settings) for name, camera in config.cameras.items()},
+        tuple(_build("gauge", gauge.driver, gauge.name, gauge.settings) for gauge in config.gauges),
+    )
+
+
+def build_stoppers(config: RigConfig) -> Rig:
+    """Build only what can stop the table, as a rig of nothing else; a wrong camera section does not matter here."""
     trigger = None
     if config.trigger.driver != "camera":
         trigger = _build("trigger", config.trigger.driver, "trigger", config.trigger.settings)
     shaker = None
     if config.shaker is not None:
         shaker = _build("shaker", config.shaker.driver, "shaker", config.shaker_settings())
-    return Rig(
-        shaker,
-        trigger,
-        {name: _build("camera", camera.driver, name, camera.settings) for name, camera in config.cameras.items()},
-        tuple(_build("gauge", gauge.driver, gauge.name, gauge.settings) for gauge in config.gauges),
-    )
+    return Rig(shaker, trigger, {})
 
 
 def camera_choices(config: RigConfig) -> dict[str, CameraChoice]:

@@ -24,7 +24,7 @@ def fields_of(record: logging.LogRecord) -> dict[str, str]:
         "LOGGER": record.name,
         "CODE_FILE": record.pathname,
         "CODE_LINE": str(record.lineno),
-        "CODE_FUNC": record.funcName,
+        "CODE_FUNC": record.funcName or "",
     }
     if record.exc_info:
         fields["EXCEPTION"] = logging.Formatter().formatException(record.exc_info)

@@ -8,7 +8,7 @@ from typing import Any
 from labdaemon.capture.rig import Rig, Wired, bring_to_rest
 from labdaemon.errors import DeviceError, InterlockError
 from labdaemon.service.config import RigConfig
-from labdaemon.service.devices import CONNECT_S, build_rig
+from labdaemon.service.devices import CONNECT_S, build_stoppers
 
 
 def stop_table(config: RigConfig) -> str:
@@ -19,7 +19,7 @@ def stop_table(config: RigConfig) -> str:
     InterlockError
         Neither shaker nor trigger confirmed.
     """
-    return asyncio.run(_stop(build_rig(config)))
+    return asyncio.run(_stop(build_stoppers(config)))
 
 
 async def _stop(rig: Rig) -> str:

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from labdaemon.campaign.fakes import FakeLab
+from labdaemon.clock import SimulatedClock
+from labdaemon.errors import LimitError
+from labdaemon.service.desk import METHODS, Desk
+from labdaemon.service.handlers import handlers
+from labdaemon.service.status import status_of
+from labdaemon.stream.messages import InvalidParams, WrongState
+
+CAMPAIGN = """
+name = "handled"
+[[phase]]
+kind = "steps"
+frequency_hz = [5.0]
+amplitude_mm = 1.0
+exposure_s = 1.0
+"""
+
+
+@pytest.fixture
+def serve(tmp_path: Path):
+    """Run a scenario of a lab and what is asked of it."""
+
+    def run(scenario):
+        clock = SimulatedClock()
+
+        async def main():
+            lab = FakeLab(tmp_path, clock)
+            lab.start()
+            desk = Desk()
+            desk.open(handlers(lab.engine, lab.plan, lambda: status_of(lab.engine), {"rig": 1}), lab.journal)
+            asked = desk.handlers()
+            try:
+                await scenario(lab, desk, lambda method, **params: asked[method](params))
+            finally:
+                await lab.kill()
+
+        clock.run(main())
+
+    return run
+
+
+def test_every_method_of_the_contract_is_there():
+    assert set(METHODS) == {
+        "status", "rig", "campaign.submit", "campaign.pause", "campaign.resume", "campaign.abort", "capture",
+        "events.replay", "stop",
+    }  # fmt: skip
+
+
+def test_status_follows_a_campaign(serve, monkeypatch: pytest.MonkeyPatch):
+    # to_thread would wait for another thread, for which simulated time does not wait
+    async def at_once(function, *args):
+        return function(*args)
+
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+
+    async def scenario(lab, desk, ask):
+        assert (await ask("status"))["state"] == "idle"
+        answer = await ask("campaign.submit", toml=CAMPAIGN, request_id="r")
+        assert Path(answer["folder"]).name == answer["campaign"]
+        assert desk.answer("r") == {"campaign": answer["campaign"]}
+        await lab.clock.sleep(8.0)
+        status = await ask("status")
+        assert (status["state"], status["campaign"], status["name"]) == ("running", answer["campaign"], "handled")
+        assert status["steps"] == 2
+        assert status["captures_total"] == 4
+        assert (await ask("campaign.pause"))["campaign"] == answer["campaign"]
+        await lab.clock.sleep(30.0)
+        status = await ask("status")
+        assert (status["state"], status["table"], status["reason"]) == ("paused", "rest", "asked for")
+        assert (await ask("stop"))["rest"] == "soft"
+        with pytest.raises(WrongState):
+            await ask("campaign.pause")
+        await ask("campaign.resume")
+        await lab.until(answer["campaign"], "completed")
+        replayed = await ask("events.replay", after=0)
+        assert [event["seq"] for event in replayed["events"]] == list(range(1, lab.journal.last_seq + 1))
+        assert replayed["journal"] == lab.journal.uuid
+
+    serve(scenario)
+
+
+def test_wrong_parameters_are_refused(serve, monkeypatch: pytest.MonkeyPatch):
+    async def at_once(function, *args):
+        return function(*args)
+
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+
+    async def scenario(lab, desk, ask):
+        with pytest.raises(InvalidParams, match="toml is a text"):
+            await ask("campaign.submit", toml=7)
+        with pytest.raises(LimitError):
+            await ask("campaign.submit", toml=CAMPAIGN.replace("1.0\nexp", "500.0\nexp"))
+        with pytest.raises(InvalidParams, match="label is a text"):
+            await ask("capture", label="x" * 300)
+
+    serve(scenario)
+
+
+def test_a_command_before_there_is_somebody_to_do_it_waits():
+    async def main() -> None:
+        desk = Desk()
+        asked = asyncio.create_task(desk.handlers()["status"]({}))
+        await asyncio.sleep(0)
+        assert not asked.done()
+        assert desk.answer("r") is None
+
+        async def status(params):
+            return "here"
+
+        desk.open({"status": status}, None)  # type: ignore[arg-type]
+        assert await asked == "here"
+
+    asyncio.run(main())
