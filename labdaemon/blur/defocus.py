@@ -15,6 +15,7 @@ from labdaemon.flags import Flag
 
 FREE_SD_PX2 = 0.3
 TEXTURE_SD_PX2 = 1e-3
+SHARED_SD_PX2 = 0.004  # what all control targets of a frame have wrong in common (interpolation between its pixels)
 
 
 def default_blur(sharp: SharpTarget) -> ExtraBlur:
@@ -45,7 +46,7 @@ def frame_blur(stills: Sequence[StillMeasurement]) -> ExtraBlur:
         raise DataError("no control target could be measured in this frame; check that they are in view and lit")
     value = np.array([s.extra_blur_px2 for s in seen])
     mean, sd, _ = _robust_mean(value, np.array([s.covariance_px2[2, 2] for s in seen]) + 1e-6)
-    return ExtraBlur(mean, sd)
+    return ExtraBlur(mean, float(np.hypot(sd, SHARED_SD_PX2)))
 
 
 def blur_of_targets(measurements: Sequence[Measurement]) -> ExtraBlur | None:

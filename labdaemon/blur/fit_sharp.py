@@ -24,7 +24,7 @@ COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
 SMEARED_PX2, SMEARED_PART = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
 EDGE_PX = 4.5  # how far the paper's edge is kept away
 MARGIN_PX = 8  # between a patch and its periodic images
-POOR_CHI2 = 1.8
+SUSPECT_CHI2 = 1.5  # from which a sharp frame is tested for smear; neighbours judge noise to a factor of two
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
 
 
@@ -268,8 +268,9 @@ def _target(
     fitted = 0.5 < axes[0] / dot.semi_minor_px < 2 and np.all(np.isfinite(solution.p)) and min(contrast.values()) > 0.02
     if not fitted:
         flags.add(Flag.NOT_FOUND)
-    doubtful = solution.chi2 > (POOR_CHI2 if known else DOUBTFUL_CHI2)
-    if doubtful and (relief is None or _is_smeared(planes, solution)):
+    if solution.chi2 > DOUBTFUL_CHI2 and relief is None:
+        flags.add(Flag.POOR_FIT)
+    if solution.chi2 > SUSPECT_CHI2 and _is_smeared(planes, solution):
         flags.add(Flag.POOR_FIT)
     # The channels' offsets are relative to the target's own centre: on average there is none.
     mean = np.zeros((2, len(solution.p)))

@@ -54,7 +54,7 @@ def measure_whole_cycles(
     spread = honest_covariance(sharp, free, setting.planes)
     lam, major, _, cov = principal(free.p[3 + k :], spread[3 + k :, 3 + k :])
     sd = np.sqrt(np.maximum(np.diag(cov), 0))
-    # A round orbit and a defocus look alike: without controls, what the fit takes from one it must not give to the other.
+    # A round orbit and a defocus look alike: without controls, what one loses must not become the other.
     minor = lam[1] + (2 * (free.p[2] - blur.mean_px2) if blur.one_sided_px2 > 0 else 0.0)
     if orbit and lam[0] > REST_SIGMAS * sd[0] and minor > REST_SIGMAS * np.hypot(sd[1], blur.one_sided_px2):
         free = weigh_grain(
