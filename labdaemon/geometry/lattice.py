@@ -41,7 +41,11 @@ def grow_lattice(centres_px: FloatArray) -> dict[Node, int]:
         return {}
     middle = np.median(centres_px, axis=0)
     seeds = np.argsort(np.linalg.norm(centres_px - middle, axis=1))[:6].tolist()
-    return max((_grow(centres_px, seed) for seed in seeds), key=len)
+    grown = [_grow(centres_px, seed) for seed in seeds]
+    most = max(len(nodes) for nodes in grown)
+    # Where a seed's own neighbours are missing a diagonal may be taken for a side: that lattice is as large, but its
+    # steps are longer.
+    return min((nodes for nodes in grown if 10 * len(nodes) >= 9 * most), key=lambda nodes: _step(centres_px, nodes))
 
 
 def place_lattices(marks: Sequence[Mapping[str, Node]]) -> list[Placement | None]:
@@ -89,6 +93,17 @@ def placed(node: Node, placement: Placement | None) -> Node:
     for _ in range(placement[0]):
         i, j = -j, i
     return i + placement[1], j + placement[2]
+
+
+def _step(centres_px: FloatArray, nodes: Mapping[Node, int]) -> float:
+    """Mean distance between neighbours of a lattice."""
+    lengths = [
+        float(np.linalg.norm(centres_px[nodes[i + di, j + dj]] - centres_px[row]))
+        for (i, j), row in nodes.items()
+        for di, dj in ((1, 0), (0, 1))
+        if (i + di, j + dj) in nodes
+    ]
+    return float(np.mean(lengths)) if lengths else float("inf")
 
 
 def _grow(centres_px: FloatArray, seed: int) -> dict[Node, int]:

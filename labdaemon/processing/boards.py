@@ -220,4 +220,5 @@ def _marks(rings: Sequence[tuple[str, int]], nodes: dict[int, Node]) -> dict[str
 def _for_eyes(grey: Grey) -> NDArray[np.uint8]:
     """Eight bits with a tone curve, for detectors that were made for photographs."""
     white = float(np.percentile(grey, 99.5))
-    return (255.0 * np.clip(grey / max(white, 1e-9), 0.0, 1.0) ** (1.0 / DISPLAY_GAMMA)).astype(np.uint8)
+    toned = 255.0 * np.clip(grey / max(white, 1e-9), 0.0, 1.0) ** (1.0 / DISPLAY_GAMMA)
+    return np.asarray(toned, dtype=np.uint8)

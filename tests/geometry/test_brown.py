@@ -57,7 +57,7 @@ def test_derivatives_agree_with_differences() -> None:
         np.testing.assert_allclose(by_interior[:, :, column], numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(k1=st.floats(-0.12, 0.1), k2=st.floats(-0.05, 0.08), p=st.floats(-1e-3, 1e-3), affinity=st.floats(-1e-3, 1e-3))
 def test_conversion_there_and_back(k1: float, k2: float, p: float, affinity: float) -> None:
     """A lens of ordinary distortion keeps its rays within the stated misfit, and that is small."""

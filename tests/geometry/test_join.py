@@ -41,7 +41,7 @@ def difference(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 coordinate = st.floats(-5, 5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     place=st.tuples(st.floats(-150, 150), st.floats(-80, 80), st.floats(150, 600)),
     a=st.tuples(coordinate, coordinate, st.floats(0.5, 2)),
@@ -57,7 +57,7 @@ def test_straight_motion_comes_back_exactly(look, place, a, seed: int) -> None:
     assert joined.motion.a_mm[np.argmax(np.abs(joined.motion.a_mm))] > 0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(a=st.tuples(coordinate, coordinate, coordinate), b=st.tuples(coordinate, coordinate, coordinate))
 def test_phased_motion_comes_back_with_its_signs(look, a, b) -> None:
     rng = np.random.default_rng(0)
@@ -263,7 +263,7 @@ def test_motion_like_the_others_settles_a_chance_ambiguity(look) -> None:
     """At least 95 % of the targets unflagged, none of them wrong, over many structures that move mostly in X."""
     rng = np.random.default_rng(40)
     total = flagged = wrong = settled = 0
-    for _ in range(25):
+    for _ in range(15):
         true, seen = swaying_frame(
             look, rng, vectors=lambda r, level, x: np.array([r.uniform(0.8, 3.4), r.normal(0, 0.8), r.normal(0, 0.13)])
         )
@@ -317,7 +317,7 @@ def blur_measurement(view, mean, a, b, rng, sd_moment: float = 0.02, sd_px: floa
     return ImageMotion(numbers[:2] + rng.normal(0, sd_px, 2), a_px, length * across, covariance)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> None:
     """Short orbits whose minor axis no picture shows for sure: nothing wrong without a flag, b within its deviation."""
     rng = np.random.default_rng(seed)

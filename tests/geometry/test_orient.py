@@ -12,7 +12,7 @@ from labdaemon.geometry.lens import Lens
 NAMES = [str(i) for i in range(8)]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(x=st.floats(-600, 600), y=st.floats(-1500, -800), z=st.floats(100, 700), roll=st.floats(-3.1, 3.1))
 def test_recovers_any_camera_exactly(look, control_mm, x: float, y: float, z: float, roll: float) -> None:
     view = look((x, y, z), roll=roll)
@@ -26,7 +26,7 @@ def test_stated_uncertainty_is_true(look, control_mm) -> None:
     """Pulls of the six exterior parameters over many surveys and readings."""
     rng = np.random.default_rng(11)
     pulls, sigmas = [], []
-    for _ in range(80):
+    for _ in range(60):
         view = look(np.array([-400.0, -1000.0, 380.0]) + rng.normal(0, 60, 3), roll=float(rng.uniform(-3, 3)))
         pixels = view.project(control_mm + rng.normal(0, 0.3, control_mm.shape)) + rng.normal(0, 0.05, (8, 2))
         found = orient(view.lens, pixels, control_mm, names=NAMES, sd_image_px=0.05, sd_object_mm=0.3, volume=True)

@@ -30,7 +30,7 @@ def picture(view, mean, a, b, sd: float = 1e-3, phased: bool = True) -> ImageMot
     return ImageMotion(numbers[:2], numbers[2:4], numbers[4:], np.eye(6) * sd**2, phased)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(angle=st.floats(-1.6, 1.6), size=st.floats(0.1, 15.0), tilt=st.floats(-3.1, 3.1))
 def test_exact_numbers_come_back_exactly(look, angle: float, size: float, tilt: float) -> None:
     """Any attitude in plan, large amplitudes near the frame's edge: distortion and perspective cost nothing."""
@@ -90,7 +90,7 @@ def test_stated_uncertainty_is_true(look, angle: float) -> None:
     control, along = board(angle)
     view = in_front(look, angle)
     pulls = []
-    for _ in range(60):
+    for _ in range(40):
         pixels = view.project(control) + rng.normal(0, 0.05, (8, 2))
         surveyed = control + rng.normal(0, 0.3, control.shape)
         plane = fit_plane(view.lens, pixels, surveyed, names=NAMES, sd_image_px=0.05, sd_object_mm=0.3)
@@ -107,7 +107,7 @@ def test_stated_uncertainty_is_true(look, angle: float) -> None:
         a_signed = a * np.sign(a[np.argmax(np.abs(a))])
         pulls.append([*((motion.mean_mm - mean) / sd[:3])[seen_axes], *((motion.a_mm - a_signed) / sd[3:6])[seen_axes]])
     spread = np.std(pulls, axis=0)
-    assert np.all((spread > 0.7) & (spread < 1.35)), spread
+    assert np.all((spread > 0.65) & (spread < 1.4)), spread
 
 
 def test_control_off_the_plane_is_refused_with_its_residuals(look) -> None:
