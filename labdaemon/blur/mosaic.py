@@ -138,8 +138,9 @@ def to_lattice(spectrum: ComplexArray, grid: Grid, period: int) -> FloatArray:
         for segment in range(1, factor):
             part = folded[..., segment * half : (segment + 1) * half + 1]
             if segment % 2:
-                mirrored = np.roll(part[..., ::-1, ::-1], 1, axis=-2)
-                base += np.conj(mirrored)
+                # frequency −f of row r stands in row −r
+                base[..., 0, :] += np.conj(part[..., 0, ::-1])
+                base[..., 1:, :] += np.conj(part[..., :0:-1, ::-1])
             else:
                 base += part
     else:

@@ -85,19 +85,21 @@ class Solution:
 
 
 def light_coordinates(planes: Planes) -> tuple[FloatArray, FloatArray]:
-    """Positions scaled to −1..1 across the patch, (n, h, w) each."""
+    """Positions scaled to −1..1 across the patch: (1, 1, w) and (1, h, 1)."""
     shape = planes.values.shape
     _, height, width = shape
     u = (2 * np.arange(width) + 1) / width - 1
     v = (2 * np.arange(height) + 1) / height - 1
-    return np.broadcast_to(u, shape), np.broadcast_to(v[:, None], shape)
+    return u[None, None, :], v[None, :, None]
 
 
 def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatArray:
     """Best light for a fixed darkness: linear least squares in w0, w1, w2 and the common contrast w0·k."""
     u, v = light_coordinates(planes)
     n = planes.values.shape[0]
-    design = np.stack((np.ones_like(dark), u, v, -dark), axis=1).reshape(n, 4, -1)
+    full = dark.shape
+    columns = (np.ones(full), np.broadcast_to(u, full), np.broadcast_to(v, full), -dark)
+    design = np.stack(columns, axis=1).reshape(n, 4, -1)
     w = weight.reshape(n, -1)
     normal = (design * w[:, None]) @ design.transpose(0, 2, 1)
     normal += _ridge(normal, 1e-9)
@@ -110,7 +112,7 @@ def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatAr
 def light_level(planes: Planes, light: FloatArray) -> FloatArray:
     """(n, h, w) values of bare paper under a light."""
     u, v = light_coordinates(planes)
-    level: FloatArray = light[:, 0, None, None] + light[:, 1, None, None] * u + light[:, 2, None, None] * v
+    level: FloatArray = (light[:, 0, None, None] + light[:, 2, None, None] * v) + light[:, 1, None, None] * u
     return level
 
 
