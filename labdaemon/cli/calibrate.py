@@ -9,8 +9,6 @@ import click
 
 KINDS = {
     "camera": ("labdaemon.cli.calibrate_camera:camera", "A camera's lens, from photographs of a board."),
-    "shaker": ("labdaemon.cli.calibrate_shaker:shaker", "Millimetres a volt, frequency by frequency."),
-    "shutter": ("labdaemon.cli.calibrate_shutter:shutter", "True exposure times of a body's steps."),
 }
 """What can be calibrated -> where its command lives and its line in `--help`."""
 
@@ -34,4 +32,4 @@ class LazyKinds(click.Group):
 
 @click.group(cls=LazyKinds)
 def calibrate() -> None:
-    """Calibrate a camera, the shaker or a shutter."""
+    """Calibrate what measures."""

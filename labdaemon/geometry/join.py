@@ -29,6 +29,8 @@ ORBIT_GAIN = 4.0
 """What an orbit's two further parameters must take off the squared residuals of three cameras (Akaike)."""
 ALIKE_MM = 0.02
 """Two roots of an orbit this close are one for any practical purpose."""
+SIGNS_DISAGREE = 1e-3
+"""Chance of the residuals of signed vectors below which one camera must have taken the wrong one of two orbits."""
 POOR_FIT = 1e-6
 """Chance of the residuals below which cameras do not see the same point."""
 POOR_FIT_PX = 0.2
@@ -92,7 +94,10 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
         raise DataError("seen by one camera only: its depth is unknown")
     if all(motion.phased for motion in motions):
         best = phased_candidate(views, exterior, motions)
-        return Joined(_object_motion(best, None, phased=True), settled_by="phase")
+        signed = _object_motion(best, None, phased=True)
+        if chi2.sf(best.square, best.freedom) < SIGNS_DISAGREE:
+            return Joined(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
+        return Joined(signed, settled_by="phase")
     motions = [_axes(motion) for motion in motions]
     candidates, straight = _candidates(views, exterior, motions)
     best, others = candidates[0], candidates[1:]

@@ -160,6 +160,19 @@ def test_phase_settles_it(look) -> None:
     np.testing.assert_allclose(joined.motion.a_mm, a, atol=0.03)
 
 
+def test_signed_vectors_that_contradict_each_other_are_flagged(look) -> None:
+    """One camera took the mirrored orbit: three numbers too many tell, but not which camera."""
+    rng = np.random.default_rng(7)
+    views = cameras(look, TWO)
+    mean, a, b = np.array([20.0, 10.0, 250.0]), np.array([-3.0, 1.0, 0.4]), np.array([0.4, 0.8, 1.2])
+    seen = [picture(v, mean, a, b, rng, phased=True) for v in views]
+    assert not join(views, seen).motion.flags
+    mirrored = ImageMotion(seen[1].mean_px, seen[1].a_px, -seen[1].b_px, seen[1].covariance_px2, True)
+    joined = join(views, [seen[0], mirrored])
+    assert Flag.AMBIGUOUS in joined.motion.flags
+    assert joined.settled_by == ""
+
+
 def test_continuity_along_a_member_settles_what_neighbours_tell(look) -> None:
     """A column swaying in X: at the cameras' height the match is open, above and below it is not."""
     rng = np.random.default_rng(1)
