@@ -11,7 +11,6 @@ import numpy as np
 
 from labdaemon.blur.motion import Measurement
 from labdaemon.flags import Flag
-from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
 from labdaemon.geometry.plane import motion_on_plane
@@ -21,11 +20,8 @@ from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.sharpset import SharpSet
 from labdaemon.processing.tables import Row, envelope_row, measurement_row
 
-SPOILT = frozenset({Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT})
+SPOILT = frozenset({Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT, Flag.AMBIGUOUS})
 """Flags for which a camera is left out where two others see a target well."""
-
-AGREE, AGREE_PX = 18.5, 0.02
-"""Squared normalised discrepancy of four numbers that chance exceeds once in a thousand; what no camera does better."""
 
 _Seen: TypeAlias = Mapping[str, Mapping[str, Measurement]]
 
@@ -121,7 +117,7 @@ def join_frames(
     envelope = []
     for target, sure in zip(sharp.targets, sharp.sure, strict=True):
         motion = joined.get(target)
-        flags = _flags(by_target[target], motion, views, sure=bool(sure))
+        flags = _flags(by_target[target], motion, cameras=len(views), sure=bool(sure))
         envelope.append(envelope_row(name, target, motion, flags))
     files = folder.capture(captures[-1]).frames
     drawn = tuple((camera, file.relative_to(folder.root)) for camera, file in files.items())
@@ -188,41 +184,18 @@ def _trusted(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
     return clean if len(clean) >= 2 else measured
 
 
-def _flags(
-    seen: Mapping[str, Measurement], motion: ObjectMotion | None, views: Mapping[str, View], *, sure: bool
-) -> set[Flag]:
+def _flags(seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, cameras: int, sure: bool) -> set[Flag]:
     """What is said of a target, by those cameras that its motion rests on."""
-    used = _trusted(seen) if len(views) > 1 and motion is not None else dict(seen)
+    used = _trusted(seen) if cameras > 1 and motion is not None else dict(seen)
     flags = {flag for one in used.values() for flag in one.flags}
     if motion is None:
         return (flags - {Flag.AT_REST}) | {Flag.NOT_FOUND}
     flags |= motion.flags
-    if Flag.AMBIGUOUS not in motion.flags and _settled_by_others(used, motion, views):
-        flags.discard(Flag.AMBIGUOUS)
     if not all(Flag.AT_REST in one.flags for one in used.values()):
         flags.discard(Flag.AT_REST)
     if not sure:
         flags.add(Flag.AMBIGUOUS)
     return flags
-
-
-def _settled_by_others(used: Mapping[str, Measurement], motion: ObjectMotion, views: Mapping[str, View]) -> bool:
-    """Whether what some cameras could not tell from its mirror image is what another one saw.
-
-    Mirrored pictures in every camera make a mirrored motion in space, so one camera at least must have told; and the
-    joint motion must look in the others as they measured it.
-    """
-    doubtful = {camera: one for camera, one in used.items() if Flag.AMBIGUOUS in one.flags}
-    if len(doubtful) == len(used):
-        return False
-    state = np.stack([motion.mean_mm, motion.a_mm, motion.b_mm])
-    for camera, one in doubtful.items():
-        picture, _, _ = project_motion(views[camera].project_with_jacobians, state)
-        miss = (np.concatenate([one.a_px, one.b_px]) - picture[2:])[:, None]
-        spread = one.covariance_px2[2:, 2:] + AGREE_PX**2 * np.eye(4)
-        if float((miss.T @ np.linalg.solve(spread, miss)).item()) > AGREE:
-            return False
-    return True
 
 
 def _notes(frames: Sequence[FrameResult], name: str) -> list[str]:

@@ -47,7 +47,7 @@ class Sought:
     semi_major_px, semi_minor_px, angle_rad
         Its ellipse.
     contrast
-        Paper less ink in the sharp frame, in the picture's units.
+        Paper less ink in the sharp frame, relative to what is bright in it.
     """
 
     centre_px: FloatArray
@@ -81,9 +81,12 @@ class Reduced:
 
 
 def reduced_for(grey: Picture, targets: Sequence[Sought]) -> Reduced:
-    """Reduce a picture until the smallest dot is some seven pixels across."""
+    """Scale a picture to its own brightness and reduce it until the smallest dot is some seven pixels across."""
     scale = max(1, int(min(target.semi_minor_px for target in targets) / 3.5)) if targets else 1
-    return Reduced(reduce(grey, scale), scale)
+    small = reduce(grey, scale)
+    white = float(np.percentile(small, 99)) if small.size else 0.0
+    # Frames differ in light: contrasts are compared as parts of what is bright in each.
+    return Reduced(small / np.float32(white) if white > 0 else small, scale)
 
 
 def measure_contrast(grey: Picture, targets: Sequence[Sought]) -> FloatArray:

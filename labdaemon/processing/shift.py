@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,9 @@ REACH_PX = 24
 """Shift that is found without reading the codes again."""
 LEAST_SCORE = 0.8
 """Correlation below which a control target is not where it was looked for."""
+SD_BETWEEN_PX2 = 0.04
+"""How well a control target's picture gives the extra blur of a frame shifted by half a pixel: its samples then are
+interpolated from a mosaic, which costs sharpness of its own. Nothing is lost at whole pixels."""
 TURN = 1.0
 """Prior standard deviation of a frame's rotation times its width, px: mirrors shift, they hardly turn."""
 
@@ -121,4 +124,7 @@ def _fit(stills: Sequence[StillMeasurement], size: tuple[int, int]) -> FrameShif
         blur = frame_blur(stills)
     except DataError:
         blur = None
+    if blur is not None:
+        between = np.abs(p[:2] - np.rint(p[:2])).max()
+        blur = replace(blur, sd_px2=float(np.hypot(blur.sd_px2, 2 * between * SD_BETWEEN_PX2)))
     return FrameShift(tuple(stills), p[:2], middle, float(p[2]), blur)

@@ -55,7 +55,7 @@ class Smear:
     score
         Normalised correlation, 1 for a perfect likeness.
     contrast
-        Paper less ink, in the picture's own units.
+        Paper less ink, in the searched picture's units.
     """
 
     centre_px: FloatArray
