@@ -13,7 +13,7 @@ from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
 from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.relief import Relief, find_relief, paper_around
-from labdaemon.blur.render import darkness, shifted
+from labdaemon.blur.render import darkness, shifted, single
 from labdaemon.blur.sharp import Ellipse, Lens, SharpTarget
 from labdaemon.blur.solve import Model, Prior, Solution, light_level, one_step, solve
 from labdaemon.blur.weights import noise_weights
@@ -161,7 +161,7 @@ def dot_model(planes: Planes, grid: Grid) -> Model:
             spectra[3:6, index] = by_q * blur
             spectra[6, index] = -2 * np.pi**2 * f2 * spectra[0, index]
             spectra[7, index] = dark * gauss * shapes.diffraction_slope(f, width)
-        images = darkness(shifted(spectra, grid, planes, p[:2]), grid, planes)
+        images = darkness(single(shifted(spectra, grid, planes, p[:2])), grid, planes)
         slopes = np.zeros((len(p), *images.shape[1:]))
         slopes[:COMMON] = images[1:7]
         for index in range(n):

@@ -18,6 +18,7 @@ from labdaemon.blur import shapes
 from labdaemon.blur.model import Motion, Setting
 from labdaemon.blur.mosaic import interleave
 from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel
+from labdaemon.blur.render import single
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Model, Prior, Solution, derivatives
 
@@ -125,5 +126,5 @@ def _count(motion: Motion) -> int:
 
 def _filtered(images: FloatArray, keep: FloatArray, size: tuple[int, ...]) -> FloatArray:
     height, width = images.shape[-2:]
-    result: FloatArray = fft.irfft2(fft.rfft2(images, s=size) * keep, s=size)[..., :height, :width]
-    return result
+    result: FloatArray = fft.irfft2(fft.rfft2(single(images), s=size) * single(keep), s=size)[..., :height, :width]
+    return result.astype(np.float64)

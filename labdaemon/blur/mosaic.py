@@ -8,12 +8,13 @@ lattice, so that one small inverse FFT a lattice gives the model exactly at that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from labdaemon.blur.pixels import BoolArray, ComplexArray, FloatArray, Patch
+from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
 from labdaemon.errors import DataError
 
 
@@ -114,7 +115,7 @@ def make_grid(shape: tuple[int, int], oversampling: int = 1) -> Grid:
     return Grid(np.ascontiguousarray(full_x), np.ascontiguousarray(full_y), (height, width), oversampling)
 
 
-def to_lattice(spectrum: ComplexArray, grid: Grid, period: int) -> FloatArray:
+def to_lattice(spectrum: Any, grid: Grid, period: int) -> FloatArray:
     """Model values on a lattice from spectra on the grid.
 
     Parameters
@@ -126,7 +127,7 @@ def to_lattice(spectrum: ComplexArray, grid: Grid, period: int) -> FloatArray:
 
     Returns
     -------
-    (..., size[0] / period, size[1] / period)
+    (..., size[0] / period, size[1] / period), in the spectrum's own precision
     """
     factor = period * grid.oversampling
     height, width = grid.size[0] // period, grid.size[1] // period
@@ -145,7 +146,8 @@ def to_lattice(spectrum: ComplexArray, grid: Grid, period: int) -> FloatArray:
                 base += part
     else:
         base = spectrum
-    result: FloatArray = fft.irfft2(base, s=(height, width), axes=(-2, -1)) / period**2
+    result: FloatArray = fft.irfft2(base, s=(height, width), axes=(-2, -1))
+    result /= period**2
     return result
 
 

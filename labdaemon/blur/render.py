@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from labdaemon.blur.mosaic import Grid, Planes, to_lattice
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 
 
-def shifted(spectra: ComplexArray, grid: Grid, planes: Planes, centre_px: FloatArray) -> ComplexArray:
-    """Spectra moved so that the target's centre falls on `centre_px` of the frame, on each lattice.
-
-    Parameters
-    ----------
-    spectra
-        (..., n, rows, columns) about the target's centre.
-    """
+def phases(grid: Grid, planes: Planes, centre_px: FloatArray) -> ComplexArray:
+    """(n, rows, columns) factors that move a target's centre to `centre_px` of the frame, on each lattice."""
     move = centre_px - np.asarray(planes.origin_px) - planes.offset_px
     along_x = np.exp(-2j * np.pi * move[:, 0, None, None] * grid.fx[:1])
     along_y = np.exp(-2j * np.pi * move[:, 1, None, None] * grid.fy[:, :1])
-    result: ComplexArray = spectra * (along_y * along_x)
+    result: ComplexArray = along_y * along_x
     return result
 
 
-def darkness(spectra: ComplexArray, grid: Grid, planes: Planes) -> FloatArray:
-    """(..., n, h, w) darkness from (..., n, rows, columns) spectra."""
+def shifted(spectra: ComplexArray, grid: Grid, planes: Planes, centre_px: FloatArray) -> ComplexArray:
+    """(..., n, rows, columns) spectra about the target's centre, moved to `centre_px` of the frame."""
+    return spectra * phases(grid, planes, centre_px)
+
+
+def single(values: FloatArray | ComplexArray) -> Any:
+    """The same in single precision."""
+    return values.astype(np.complex64 if np.iscomplexobj(values) else np.float32, copy=False)
+
+
+def darkness(spectra: Any, grid: Grid, planes: Planes) -> FloatArray:
+    """(..., n, h, w) darkness from (..., n, rows, columns) spectra of either precision."""
     _, height, width = planes.values.shape
     return to_lattice(spectra, grid, planes.period)[..., :height, :width]

@@ -184,7 +184,7 @@ def solve(
             trial_dark, trial_by_p = model(trial)
             trial_signal = render_light(planes, trial_light, trial_dark)
             trial_cost = float(np.sum(weight * (y - trial_signal) ** 2)) + prior.cost(trial)
-            if np.isfinite(trial_cost) and trial_cost <= cost * (1 + 1e-12) + 1e-12:
+            if np.isfinite(trial_cost) and trial_cost <= cost * (1 + 1e-6) + 1e-12:
                 accepted = True
                 break
             damping = max(damping * 8, 1e-4)
