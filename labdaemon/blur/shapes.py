@@ -56,7 +56,8 @@ def diffraction_slope(f: FloatArray, width_px: float) -> FloatArray:
 
 def gaussian(f2: FloatArray, variance_px2: float) -> FloatArray:
     """Transfer function exp(−2π² σ² f²) of a Gaussian; a negative variance sharpens."""
-    result: FloatArray = np.exp(-2 * np.pi**2 * variance_px2 * f2)
+    # Steps on the way of a fit that goes wrong may ask for any sharpening; e²⁰ of it is as wrong as more.
+    result: FloatArray = np.exp(np.minimum(-2 * np.pi**2 * variance_px2 * f2, 20.0))
     return result
 
 
@@ -84,7 +85,7 @@ def orbit(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[FloatArra
     ratio = np.where(z > 1e-4, j1 / np.maximum(z, 1e-300), 0.5)
     below = z2 < 0
     if np.any(below):
-        zb = np.minimum(z[below], 30.0)
+        zb = np.minimum(z[below], 20.0)
         j0[below] = special.i0(zb)
         ratio[below] = np.where(zb > 1e-4, special.i1(zb) / np.maximum(zb, 1e-300), 0.5)
     return j0, -2 * np.pi**2 * ratio * squares  # dJ0/d(z²) = −J1(z)/(2z)

@@ -58,8 +58,8 @@ class Solution:
         (k, k) what the prior's own uncertainty contributes to the covariance.
     light_part
         (n, 4, k) how each lattice's light follows the parameters (its negative, that is).
-    gain
-        (k, n, h, w) change of the parameters by a change of each pixel, DN⁻¹; carries any other error through.
+    weighted
+        (n, k + 4, h·w) derivatives by the parameters and the light, times the weights.
     correlated
         Whether the covariance already accounts for noise that neighbours share.
     """
@@ -75,8 +75,16 @@ class Solution:
     weight: FloatArray
     prior_part: FloatArray
     light_part: FloatArray
-    gain: FloatArray
+    weighted: FloatArray
     correlated: bool = False
+
+    @property
+    def gain(self) -> FloatArray:
+        """(k, n, h, w) change of the parameters by a change of each pixel, DN⁻¹; carries any other error through."""
+        k = len(self.p)
+        own = self.weighted[:, :k] - self.light_part.transpose(0, 2, 1) @ self.weighted[:, k:]
+        result: FloatArray = (self.covariance @ own).swapaxes(0, 1).reshape(k, *self.weight.shape)
+        return result
 
     @property
     def chi2(self) -> float:
@@ -299,12 +307,10 @@ def _solution(
     k, scale = len(p), equations.scale
     scaled = equations.reduced / np.outer(scale, scale)
     covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale)
-    weighted, inner = equations.weighted, equations.inner[:, :, :k]
-    through = covariance @ (weighted[:, :k] - inner.transpose(0, 2, 1) @ weighted[:, k:])
-    gain = through.swapaxes(0, 1).reshape(k, *weight.shape)
     dof = int(np.count_nonzero(weight)) - k - 4 * int(np.count_nonzero(weight.any(axis=(1, 2))))
     residual = (planes.values - signal) * np.sqrt(weight)
     prior_part = covariance @ prior.precision @ covariance
+    light_part = equations.inner[:, :, :k].copy()
     return Solution(
-        p, covariance, light, residual, signal, cost, dof, converged, weight, prior_part, inner.copy(), gain
+        p, covariance, light, residual, signal, cost, dof, converged, weight, prior_part, light_part, equations.weighted
     )
