@@ -75,11 +75,21 @@ def fit_sharp(dot: Dot, patches: Sequence[Patch], *, noise: NoiseModel | None = 
         A patch off the frame, or an unknown colour filter.
     """
     patch, count = average(patches)
-    cut = _crop(dot, patch)
+    found = _attempt(dot, patches, patch, count, noise, wide=False)
+    if not found.usable or found.chi2 < DOUBTFUL_CHI2 or dot.paper_px - EDGE_PX > _reach(dot):
+        return found
+    # A rough label is known by all that shows of it, its edge included.
+    return _attempt(dot, patches, patch, count, noise, wide=True)
+
+
+def _attempt(
+    dot: Dot, patches: Sequence[Patch], patch: Patch, count: int, noise: NoiseModel | None, *, wide: bool
+) -> SharpTarget:
+    cut = _crop(dot, patch, wide=wide)
     if min(cut.shape) < 8:
         return _nothing(dot, patch, noise or NoiseModel(1.0, 0.0), noise is not None, saturated=False)
     area = np.pi * dot.semi_major_px * dot.semi_minor_px
-    first = noise if noise is not None else estimate_noise([_crop(dot, one) for one in patches])
+    first = noise if noise is not None else estimate_noise([_crop(dot, one, wide=wide) for one in patches])
     blob = find_blob(cut, np.array([dot.x_px, dot.y_px]), area, None)
     if blob is None or not 0.3 < blob.area_px2 / area < 3.0:
         return _nothing(dot, cut, first, noise is not None, saturated=_all_hidden(cut))
@@ -112,9 +122,14 @@ def _noise(
     return found, True
 
 
-def _crop(dot: Dot, patch: Patch) -> Patch:
-    reach = dot.semi_major_px + max(11.0, 0.8 * dot.semi_major_px)
-    if dot.paper_px > dot.semi_major_px + 2 * EDGE_PX:
+def _reach(dot: Dot) -> float:
+    """Half size of the part of the frame that is looked at."""
+    return dot.semi_major_px + max(11.0, 0.8 * dot.semi_major_px)
+
+
+def _crop(dot: Dot, patch: Patch, *, wide: bool) -> Patch:
+    reach = _reach(dot)
+    if not wide and dot.paper_px > dot.semi_major_px + 2 * EDGE_PX:
         # The blurred edge of the paper darkens what lies before it; narrow labels are masked pixel by pixel instead.
         reach = min(reach, max(dot.paper_px - EDGE_PX, dot.semi_major_px + EDGE_PX))
     left, top = int(np.floor(dot.x_px - reach)), int(np.floor(dot.y_px - reach))

@@ -243,7 +243,11 @@ class _Equations:
     def step(self, damping: float) -> FloatArray:
         """Change of the parameters, with the diagonal raised by a factor 1 + damping."""
         scaled = self.reduced / np.outer(self.scale, self.scale)
-        step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), self.right / self.scale)
+        damped, right = scaled + damping * np.eye(len(scaled)), self.right / self.scale
+        try:
+            step = np.linalg.solve(damped, right)
+        except np.linalg.LinAlgError:  # something does not show at all: it stays
+            step = np.linalg.lstsq(damped, right, rcond=1e-12)[0]
         result: FloatArray = step.astype(np.float64) / self.scale
         return result
 
