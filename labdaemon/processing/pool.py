@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import multiprocessing.connection
 import multiprocessing.forkserver
 import os
 import signal
@@ -15,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
 from multiprocessing.queues import SimpleQueue
 from typing import ParamSpec, TypeVar
 
@@ -41,14 +43,36 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
+def _end_with_parent() -> None:
+    """End when the process that made the pool has died: a worker that waits for its next task would never notice."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+
 def _start_worker(pids: SimpleQueue[int]) -> None:
     """First thing a worker does. Ctrl-C reaches the whole process group; what to do about it is the parent's affair."""
     import cv2
 
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(ONE_THREAD)
     cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     pids.put(os.getpid())
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent is gone: a killed parent cannot end it, and its queue never tells.
+
+    Workers hold both ends of the pipe that they wait on, and keep their fork server alive; without this every kill -9
+    of the daemon would leave a pool behind.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)
 
 
 class _WorkerLost(Exception):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -65,3 +68,29 @@ def test_closing_ends_what_is_running() -> None:
     threading.Timer(0.3, pool.close).start()
     with pytest.raises(LabdaemonError, match="closed"):
         slow.result(60)
+
+
+def test_workers_end_with_a_killed_parent() -> None:
+    script = (
+        "import os, sys\n"
+        "from labdaemon.processing.pool import WorkerPool\n"
+        "if __name__ == '__main__':\n"
+        "    pool = WorkerPool(2)\n"
+        "    print(*{pool.submit(os.getppid).result(), *(pool.submit(os.getpid).result() for _ in range(8))}, flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert parent.stdin is not None
+    assert parent.stdout is not None
+    with parent.stdin, parent.stdout:
+        children = [int(pid) for pid in parent.stdout.readline().split()]
+        assert len(children) >= 2  # the fork server and a worker or more
+        handles = [os.pidfd_open(pid) for pid in children]
+        parent.kill()
+        parent.wait()
+        try:
+            for handle in handles:
+                assert select.select([handle], [], [], 20.0)[0], "a worker outlived its parent"
+        finally:
+            for handle in handles:
+                os.close(handle)
