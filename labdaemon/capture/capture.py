@@ -11,7 +11,7 @@ from labdaemon.capture.collect import store, wait_all, wait_frame
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.pairing import CameraClocks
 from labdaemon.capture.places import (
-    campaign_folder,
+    capture_folder,
     capture_toml,
     frame_path,
     set_aside_path,
@@ -56,6 +56,8 @@ class Lab:
         What each body is set to now.
     suspects
         Names of devices that a fault was put down to, and that nobody has heard of since.
+    swept
+        Whether the data folder was cleared of what an earlier run left half written.
     """
 
     rig: Rig
@@ -68,6 +70,7 @@ class Lab:
     clocks: CameraClocks = field(default_factory=CameraClocks)
     exposures_s: dict[str, float] = field(default_factory=dict)
     suspects: set[str] = field(default_factory=set)
+    swept: bool = False
 
 
 Fired = Callable[[CaptureRecord], None]
@@ -149,8 +152,7 @@ async def keep(lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile]) 
 async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
     """Every frame is stored: write what measuring needs beside them, and tell."""
     if not capture.is_sharp:
-        folder = campaign_folder(lab.data, capture.campaign) / "captures" / capture.name
-        write_durably(folder / "capture.toml", capture_toml(capture))
+        write_durably(capture_folder(lab.data, capture) / "capture.toml", capture_toml(capture))
     told = {
         "step": capture.step if capture.step >= 0 else None,
         "label": capture.label,

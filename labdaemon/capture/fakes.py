@@ -177,6 +177,13 @@ class FakeTrigger:
     world: FakeWorld
     cameras: list[FakeCamera]
     name: str = "trigger"
+    outside: deque[Firing] = field(default_factory=deque)
+
+    def edge(self, exposure_s: float) -> None:
+        """What an outside system does: releases the cameras through the box."""
+        for camera in self.cameras:
+            camera.release(exposure_s)
+        self.outside.append(Firing(self.world.clock.now(), {camera.name: 0.001 for camera in self.cameras}, 0.5, 0.01))
 
     def connect(self) -> str:
         self.world.enter(self.name, "connect")
@@ -191,8 +198,8 @@ class FakeTrigger:
         return Firing(self.world.clock.now(), opening_s, phase_rad, 0.01)
 
     def wait(self, timeout_s: float) -> Firing | None:
-        self.world.enter(self.name, "wait", timeout_s)
-        return None
+        self.world.enter(self.name, "wait", 0.0 if self.outside else timeout_s)
+        return self.outside.popleft() if self.outside else None
 
     def raise_enable(self) -> None:
         self.world.enter(self.name, "raise_enable")

@@ -22,13 +22,20 @@ def sharp_folder(data: Path, campaign: str, sharp: str | None) -> Path:
     return folder / sharp if sharp else folder
 
 
+def capture_folder(data: Path, capture: CaptureRecord) -> Path:
+    """Where a capture's frames lie."""
+    if capture.is_sharp:
+        return sharp_folder(data, capture.campaign, capture.sharp)
+    return campaign_folder(data, capture.campaign) / "captures" / capture.name
+
+
 def frame_path(data: Path, capture: CaptureRecord, camera: str, file: CardFile) -> Path:
     """Final place of one camera's frame: sharp frames are numbered within their set from the second on."""
     ending = PurePath(file.name).suffix.lower() or ".raw"
     if capture.is_sharp:
         number = f"-{capture.shot + 1}" if capture.shot else ""
-        return sharp_folder(data, capture.campaign, capture.sharp) / f"{camera}{number}{ending}"
-    return campaign_folder(data, capture.campaign) / "captures" / capture.name / f"{camera}{ending}"
+        return capture_folder(data, capture) / f"{camera}{number}{ending}"
+    return capture_folder(data, capture) / f"{camera}{ending}"
 
 
 def set_aside_path(data: Path, campaign: str, capture: str, camera: str, name: str) -> Path:

@@ -13,7 +13,7 @@ from labdaemon.capture.capture import Lab, complete
 from labdaemon.capture.collect import clear_card, is_known, store
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.pairing import is_frame
-from labdaemon.capture.places import frame_path, set_aside_path
+from labdaemon.capture.places import capture_folder, frame_path, set_aside_path
 from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.errors import DeviceError
 from labdaemon.journal import records, transitions
@@ -32,7 +32,9 @@ async def recover(lab: Lab) -> None:
     DeviceError
         A camera that is needed for it does not answer; call again when it does.
     """
-    remove_parts(lab.data)
+    if not lab.swept:
+        remove_parts(lab.data)
+        lab.swept = True
     on_cards = {name: await _list(lab, name) for name in lab.rig.cameras}
     await _clear_stored(lab, on_cards)
     for capture in records.captures(lab.recorder.journal, None, "intended", "fired", "exposed"):
@@ -86,6 +88,7 @@ async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[C
 
 async def _give_up(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> None:
     """Set the capture's frames aside, those on disk and those still on cards."""
+    remove_parts(capture_folder(lab.data, capture))
     moved: dict[str, str] = {}
     for frame in records.frames(lab.recorder.journal, capture.campaign, capture.name):
         path = set_aside_path(lab.data, capture.campaign, capture.name, frame.camera, frame.card_name)

@@ -157,13 +157,14 @@ def captures(
     journal: Journal, campaign: str | None = None, *states: CaptureState, step: int | None = None
 ) -> list[CaptureRecord]:
     """Captures of a campaign (or of all) in these states (or in any), by name."""
-    conditions, values = [], []
+    conditions: list[str] = []
+    values: list[str | int] = []
     if campaign is not None:
         conditions.append("campaign = ?")
         values.append(campaign)
     if step is not None:
         conditions.append("step = ?")
-        values.append(str(step))
+        values.append(step)
     if states:
         conditions.append(f"state IN ({','.join('?' * len(states))})")
         values.extend(states)

@@ -54,6 +54,8 @@ CREATE TABLE captures (
     reason TEXT,
     PRIMARY KEY (campaign, name)
 ) STRICT, WITHOUT ROWID;
+CREATE INDEX captures_of_step ON captures (campaign, step);
+CREATE INDEX captures_in_state ON captures (state, campaign);
 CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
     campaign TEXT NOT NULL,

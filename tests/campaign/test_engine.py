@@ -625,6 +625,32 @@ def test_the_papers_own_wiring_files_that_arrive_are_captures(simulate):
     simulate(scenario, has_trigger=False)
 
 
+def test_an_outside_system_fires_through_the_box_which_sees_the_phase(simulate):
+    async def scenario(lab: FakeLab):
+        toml = EXTERNAL.format(on_fault="pause").replace("exposure_s = 1.0", "exposure_s = 1.0\nfrequency_hz = 7.0", 1)
+        id = await lab.submit(toml)
+        while lab.engine.step is None or lab.engine.step.kind != "external":
+            await lab.clock.sleep(1.0)
+        for _ in range(3):
+            await lab.clock.sleep(30.0)
+            lab.fake.trigger.edge(1.0)
+        assert (await lab.until(id)).state == "completed"
+        captures = records.captures(lab.journal, id, "measured")
+        assert [(capture.frequency_hz, capture.phase_rad) for capture in captures] == [(7.0, 0.5)] * 3
+
+    simulate(scenario)
+
+
+def test_outside_releases_that_do_not_come_are_a_fault(simulate):
+    async def scenario(lab: FakeLab):
+        id = await lab.submit(EXTERNAL.format(on_fault="abort"))
+        record = await lab.until(id)
+        assert record.state == "aborted"
+        assert "3 of 3 outside releases did not come within 3600 s" in (record.reason or "")
+
+    simulate(scenario)
+
+
 def test_without_a_shaker_the_daemon_keeps_what_others_fire_and_sets_a_lone_frame_aside(simulate):
     async def scenario(lab: FakeLab):
         await lab.clock.sleep(5.0)
