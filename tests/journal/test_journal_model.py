@@ -91,6 +91,8 @@ class JournalMachine(RuleBasedStateMachine):
 
     @rule(capture=captures, camera=st.sampled_from(["left", "right"]))
     def store(self, capture, camera) -> None:
+        if self.capture_states[capture] == "discarded":
+            return
         path = f"{capture[0]}/{capture[1]}/{camera}.dng"
         transitions.store_frame(
             self.journal, FrameRecord(*capture, camera, path, "DSC_1", "t", 10, "ab" * 32, "stored")
