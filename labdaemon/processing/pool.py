@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import multiprocessing.connection
 import multiprocessing.forkserver
 import os
 import signal
@@ -43,19 +42,10 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _end_with_parent() -> None:
-    """End when the process that made the pool has died: a worker that waits for its next task would never notice."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
-
-
 def _start_worker(pids: SimpleQueue[int]) -> None:
     """First thing a worker does. Ctrl-C reaches the whole process group; what to do about it is the parent's affair."""
     import cv2
 
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(ONE_THREAD)
     cv2.setNumThreads(1)
@@ -71,7 +61,7 @@ def _end_with_parent() -> None:
     """
     parent = multiprocessing.parent_process()
     assert parent is not None
-    multiprocessing.connection.wait([parent.sentinel])
+    connection.wait([parent.sentinel])
     os._exit(1)
 
 

@@ -76,7 +76,8 @@ def test_workers_end_with_a_killed_parent() -> None:
         "from labdaemon.processing.pool import WorkerPool\n"
         "if __name__ == '__main__':\n"
         "    pool = WorkerPool(2)\n"
-        "    print(*{pool.submit(os.getppid).result(), *(pool.submit(os.getpid).result() for _ in range(8))}, flush=True)\n"
+        "    pids = {pool.submit(os.getpid).result() for _ in range(8)}\n"
+        "    print(pool.submit(os.getppid).result(), *pids, flush=True)\n"
         "    sys.stdin.read()\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
