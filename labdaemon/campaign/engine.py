@@ -207,7 +207,7 @@ class Engine:
         """
         reason = "stopped by a person"
         record = self.current or self._next()  # one that is about to be taken up counts
-        is_running = record is not None and record.state != "paused" and self.control.wish == "go"
+        is_running = record is not None and self.control.wish == "go"
         self.control.want("pause" if is_running else self.control.wish, reason, at_once=True)
         try:
             return await self.attempts.stop_table()
@@ -300,7 +300,7 @@ class Engine:
 
     async def _pause(self, record: CampaignRecord, guard: asyncio.Task[None]) -> None:
         await self._rest()
-        if self._state(record.id) == "running":
+        if self.control.wish == "pause" and self._state(record.id) == "running":  # not resumed meanwhile
             await self._move(record, "paused", self.control.reason)
         self.attempts.doing = "paused"
         while self.control.wish == "pause":
