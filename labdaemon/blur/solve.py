@@ -18,6 +18,12 @@ from labdaemon.blur.pixels import FloatArray
 Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From parameters (k,) to darkness (n, h, w) and its derivatives (k, n, h, w)."""
 
+PLAIN = 1e-3
+"""Damping up to which a short step means that the fit is over, and not that it has been held back."""
+
+SHORT = 0.05
+"""Step, px or px², up to which a model is linear enough for its result not to be looked at."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
@@ -146,7 +152,7 @@ def solve(
     *,
     bound: Callable[[FloatArray], FloatArray] = lambda p: p,
     max_iterations: int = 30,
-    tolerance: float = 0.02,
+    tolerance: float = 0.1,
     light: FloatArray | None = None,
 ) -> Solution:
     """Fit the model to the planes.
@@ -165,7 +171,8 @@ def solve(
     bound
         Brings parameters back to where the model is defined.
     tolerance
-        Stops when the step falls below this part of each standard deviation.
+        Stops when the step falls below this part of each standard deviation. That last step is still taken, but the
+        model is not evaluated after it: steps shrink so fast that the next would be a hundredth of it.
     light
         (n, 4) light to start from; solved linearly if not given.
     """
@@ -181,9 +188,16 @@ def solve(
     cost = float(np.sum(weight * (y - signal) ** 2)) + prior.cost(p)
     # Weights that follow the model for ever would bias it.
     settle = 2 if fresh else 0
-    damping, converged = 1e-3, False
+    damping, converged = PLAIN, False
     for iteration in range(max_iterations):
         equations = _normal_equations(planes, weight, light, dark, by_p, p, prior)
+        if iteration > settle and damping <= PLAIN:
+            trial = bound(p + equations.step(damping))
+            short = np.abs(trial - p)
+            # Short against the deviation alone may be long where something hardly shows.
+            if np.max(short * equations.scale) < tolerance and np.max(short) < SHORT:
+                light = light + equations.light_step(trial - p)
+                return _solution(planes, weight, equations, prior, trial, light, signal, cost, True)
         accepted = False
         for _ in range(8):
             trial = bound(p + equations.step(damping))

@@ -15,6 +15,7 @@ from labdaemon.blur.weights import nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 
 FREE_BLUR = ExtraBlur(0.0, 30.0)
+SAME_PX = 0.05
 
 
 def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = None) -> StillMeasurement:
@@ -71,9 +72,10 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
             nuisance_prior(sharp, FREE_BLUR, 0),
             bound=bound,
         )
+        again = best is not None and float(np.hypot(*(found.p - best.p)[:2])) < SAME_PX
         if best is None or found.cost < best.cost:
             best = found
-        if best.chi2 < 1.5:
+        if again or best.chi2 < 1.5:  # two ways that end in one place found the right one
             break
     assert best is not None
     best = without_template_noise(sharp, setting, best, None)

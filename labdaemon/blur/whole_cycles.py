@@ -20,6 +20,9 @@ from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 
+LEAST_PX2 = 0.05  # a straight path's a² to start from: at rest the picture does not depend on a
+HELD_PX2 = 1e-4  # the same where a is not fitted at all
+CLEAR_SIGMAS = 10.0  # deviations of a² from which a straight path is one step from the orbit
 QUICK_PX = 1.2  # semi-amplitude from which a smear's own moments are a start good enough for a straight fit
 
 
@@ -52,7 +55,7 @@ def measure_whole_cycles(
         free = _fit_orbit(sharp, setting, blur, [free.p])
     scale = noise_scale(sharp, free)
     spread = honest_covariance(sharp, free, setting.planes)
-    lam, major, _, cov = principal(free.p[3 + k :], spread[3 + k :, 3 + k :])
+    lam, _, _, cov = principal(free.p[3 + k :], spread[3 + k :, 3 + k :])
     sd = np.sqrt(np.maximum(np.diag(cov), 0))
     # A round orbit and a defocus look alike: without controls, what one loses must not become the other.
     minor = lam[1] + (2 * (free.p[2] - blur.mean_px2) if blur.one_sided_px2 > 0 else 0.0)
@@ -64,8 +67,10 @@ def measure_whole_cycles(
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
         best, a, b = free, value[2:4], value[4:]
     else:
-        a = np.sqrt(max(lam[0], 0.05)) * major
-        best = _fit_straight(sharp, setting, blur, free, a, scale, converged=quick is not None)
+        # Where a² is ten of its deviations, a step from the orbit to its straight neighbour leaves 0.03 of one.
+        clear = sharp.noise_known and free.converged and lam[0] > CLEAR_SIGMAS * sd[0]
+        rest = _is_plain(sharp) and quick is None and free.converged and lam[0] < REST_SIGMAS * sd[0]
+        best = _fit_straight(sharp, setting, blur, free, scale, converged=quick is not None or clear, held=rest)
         spread = honest_covariance(sharp, best, setting.planes)
         a, b, covariance = _straight_axes(best.p, spread, k, float(sd[1]))
     found_flags = reach_flags(sharp, best, a, b)
@@ -166,21 +171,48 @@ def _fit_straight(
     setting: Setting,
     blur: ExtraBlur,
     free: Solution,
-    a: FloatArray,
     scale: float,
     *,
     converged: bool,
+    held: bool,
 ) -> Solution:
+    """The straight path: one step where `converged`; with a as the orbit says where `held`, since it does not show."""
     k = len(setting.by_shape)
     model, prior = blurred_model(setting, shapes.straight), nuisance_prior(sharp, blur, 2)
-    start = np.concatenate((free.p[: 3 + k], a))
+    start, light = _straight_neighbour(free, k, HELD_PX2 if held else LEAST_PX2)
+    if held:
+        precision = prior.precision.copy()
+        precision[3 + k :, 3 + k :] = np.eye(2) / HELD_PX2**2
+        prior = Prior(np.concatenate((prior.mean[: 3 + k], start[3 + k :])), precision)
     weights = pixel_weights(sharp, setting.planes, scale)
-    if converged:
-        best = one_step(setting.planes, weights, model, start, prior, free.light)
+    if converged or held:
+        best = one_step(setting.planes, weights, model, start, prior, light)
     else:
-        best = solve(setting.planes, weights, model, start, prior, light=free.light)
+        best = solve(setting.planes, weights, model, start, prior, light=light)
     best = weigh_grain(sharp, setting, best, model, shapes.straight, prior)
     return without_template_noise(sharp, setting, best, shapes.straight)
+
+
+def _straight_neighbour(free: Solution, k: int, least_px2: float) -> tuple[FloatArray, FloatArray]:
+    """Straight path (x, y, extra variance, shape…, ax, ay) and its light that an orbit's fit makes most likely.
+
+    The cost is nearly quadratic in the second moment M, so that the best M = aaᵀ is found without the picture.
+    """
+    moment, cov = free.p[3 + k :], free.covariance[3 + k :, 3 + k :]
+    precision = np.linalg.pinv(cov, hermitian=True)
+    _, vectors = np.linalg.eigh(moment_matrix(moment))
+    middle, width = float(np.arctan2(vectors[1, 1], vectors[0, 1])), np.pi / 2
+    for _ in range(3):
+        angle = middle + np.linspace(-width, width, 91)
+        rays = np.stack((np.cos(angle) ** 2, np.cos(angle) * np.sin(angle), np.sin(angle) ** 2), axis=1)
+        along = rays @ precision
+        square = np.maximum(along @ moment / np.maximum(np.sum(along * rays, axis=1), 1e-300), least_px2)
+        away = square[:, None] * rays - moment
+        best = int(np.argmin(np.sum((away @ precision) * away, axis=1)))
+        middle, width = float(angle[best]), width / 40
+    step = free.covariance[:, 3 + k :] @ precision @ away[best]
+    a = np.sqrt(square[best]) * np.array([np.cos(middle), np.sin(middle)])
+    return np.concatenate(((free.p + step)[: 3 + k], a)), free.light - free.light_part @ step
 
 
 def _pick(k: int) -> list[int]:
