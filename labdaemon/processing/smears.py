@@ -7,6 +7,7 @@ start for the fit, good to about a fifth of the dot's radius; nothing is measure
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import cast
@@ -25,6 +26,14 @@ STRAIGHT = ((0.0, 1), (0.45, 4), (0.8, 6), (1.2, 8), (1.7, 10), (2.3, 12), (3.0,
 """Semi-amplitudes in dot radii that are tried, and in how many directions."""
 ROUND = (0.6, 1.0, 1.6, 2.4, 3.4)
 """Radii of circular orbits that are tried, in dot radii."""
+COARSE = 3
+"""Of so many filters one is tried at first."""
+ALIKE = 10
+"""Filters tried around the best one so far."""
+NEAR = 2
+"""How far from the place of the best one they are tried, reduced pixels."""
+SURE_SCORE = 0.85
+"""Correlation below which the coarse search is not trusted, and everything is tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +128,39 @@ def best_smear(
     x, y = (np.asarray(expected_px) - (scale - 1) / 2) / scale
     reach = max(1, round(reach_px / scale))
     cx, cy = round(x), round(y)
-    best: tuple[float, Filter, int, int] | None = None
+    best = _best_match(reduced, shapes[::COARSE], cx, cy, reach)
+    if len(shapes) > COARSE and best is not None:
+        best = _climbed(reduced, shapes, best, (cx, cy), reach)
+        if best.score < SURE_SCORE:
+            best = _best_match(reduced, shapes, cx, cy, reach)
+    if best is None:
+        return None
+    score, shape, left, top = best.score, best.shape, best.left, best.top
+    h, w = shape.picture.shape
+    centre = np.array([left + w // 2, top + h // 2], dtype=float)
+    return Smear(
+        centre * scale + (scale - 1) / 2, shape.a * scale, shape.b * scale, score, _contrast(reduced, shape, left, top)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Match:
+    """The best place of a filter; `left` and `top` are where its picture begins."""
+
+    score: float
+    shape: Filter
+    left: int
+    top: int
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        h, w = self.shape.picture.shape
+        return self.left + w // 2, self.top + h // 2
+
+
+def _best_match(reduced: Picture, shapes: Sequence[Filter], cx: int, cy: int, reach: int) -> _Match | None:
+    """The best of some filters within `reach` reduced pixels of a place; None where none of them fits in the frame."""
+    best: _Match | None = None
     for shape in shapes:
         h, w = shape.picture.shape
         x0, y0 = max(cx - reach - w // 2, 0), max(cy - reach - h // 2, 0)
@@ -129,16 +170,43 @@ def best_smear(
             continue
         likeness = -cv2.matchTemplate(window, shape.picture, cv2.TM_CCOEFF_NORMED)
         row, column = divmod(int(np.argmax(likeness)), likeness.shape[1])
-        if best is None or likeness[row, column] > best[0]:
-            best = float(likeness[row, column]), shape, x0 + column, y0 + row
-    if best is None:
-        return None
-    score, shape, left, top = best
-    h, w = shape.picture.shape
-    centre = np.array([left + w // 2, top + h // 2], dtype=float)
-    return Smear(
-        centre * scale + (scale - 1) / 2, shape.a * scale, shape.b * scale, score, _contrast(reduced, shape, left, top)
-    )
+        if best is None or likeness[row, column] > best.score:
+            best = _Match(float(likeness[row, column]), shape, x0 + column, y0 + row)
+    return best
+
+
+def _climbed(reduced: Picture, shapes: tuple[Filter, ...], best: _Match, middle: tuple[int, int], reach: int) -> _Match:
+    """From a coarse match to the best of its neighbours in motion and place, until none is better."""
+    tried = {id(best.shape)}
+    while True:
+        x, y = best.middle
+        near = [shape for shape in _alike(shapes, best.shape) if id(shape) not in tried]
+        tried |= {id(shape) for shape in near}
+        better = _best_match(reduced, near, x, y, NEAR)
+        if better is None or better.score <= best.score:
+            return best
+        bx, by = better.middle
+        if max(abs(bx - middle[0]), abs(by - middle[1])) > reach:
+            return best
+        best = better
+
+
+def _alike(shapes: tuple[Filter, ...], shape: Filter) -> list[Filter]:
+    """The filters whose motions are nearest to one's, by the spread that they give a dot."""
+    spreads = _spreads(shapes)
+    away = np.linalg.norm(spreads - spreads[shapes.index(shape)], axis=1)
+    return [shapes[index] for index in np.argsort(away, kind="stable")[1 : ALIKE + 1]]
+
+
+@lru_cache(maxsize=64)
+def _spreads(shapes: tuple[Filter, ...]) -> FloatArray:
+    """(n, 3) second moment of each filter's motion over its length: opposite directions agree."""
+    a, b = np.array([shape.a for shape in shapes]), np.array([shape.b for shape in shapes])
+    moment = np.stack([a[:, 0] ** 2 + b[:, 0] ** 2, a[:, 1] ** 2 + b[:, 1] ** 2], axis=1)
+    cross = np.sqrt(2) * (a[:, 0] * a[:, 1] + b[:, 0] * b[:, 1])
+    length = np.sqrt(np.maximum(moment.sum(axis=1), 1e-12))
+    result: FloatArray = np.column_stack([moment, cross]) / length[:, None]
+    return result
 
 
 def all_smears(reduced: Picture, scale: int, shapes: tuple[Filter, ...], least_score: float) -> list[Smear]:
