@@ -195,8 +195,8 @@ def _interpolate(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     for _ in range(25):
         smooth = fft.irfft2(fft.rfft2(picture) * band, s=wide.shape)
         picture = np.where(mask, wide, smooth)
-    # What lies beyond the band is noise that a shift would not carry along.
-    return smooth[pad:-pad, pad:-pad]
+    # The known pixels stay as they are: dropping what they hold beyond the band makes a later frame look defocused.
+    return picture[pad:-pad, pad:-pad]
 
 
 def _fill(values: FloatArray, good: NDArray[np.bool_]) -> FloatArray:
