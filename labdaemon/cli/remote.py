@@ -110,11 +110,13 @@ abort = _campaign_command("abort", "aborted", "End the campaign; the table comes
 
 @click.command()
 @click.option("--label", default="manual", show_default=True, help="Part of the capture's name.")
+@click.option("--sharp", is_flag=True, help="A sharp set: the structure is at rest.")
 @click.option("--request-id", help="Fire at most once under this name, however often it is sent.")
 @address_options
-def capture(label: str, request_id: str | None, address: str, as_json: bool) -> None:
+def capture(label: str, sharp: bool, request_id: str | None, address: str, as_json: bool) -> None:
     """Fire all shutters once, now."""
-    result = ask(address, "capture", timeout_s=CAPTURE_TIMEOUT_S, label=label, request_id=request_id or uuid4().hex)
+    wish = {"label": label, "request_id": request_id or uuid4().hex, **({"sharp": True} if sharp else {})}
+    result = ask(address, "capture", timeout_s=CAPTURE_TIMEOUT_S, **wish)
     say(result, as_json, f"capture {result['capture']} opened at {result['opened_at']}")
 
 
