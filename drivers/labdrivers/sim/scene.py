@@ -19,6 +19,11 @@ Vector = tuple[float, float, float]
 TAG_FAMILY = "apriltag-36h11"
 
 
+def _on_plane(centre_mm: Vector, right: Vector, up: Vector, plane_mm: FloatArray) -> FloatArray:
+    """Object points (n, 3) of points (n, 2) along `right` and `up` from a centre."""
+    return np.asarray(np.asarray(centre_mm) + plane_mm @ np.array([right, up]))
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A black dot printed on a white paper label.
@@ -46,8 +51,7 @@ class Target:
 
     def points(self, plane_mm: FloatArray) -> FloatArray:
         """Object points (n, 3) of points (n, 2) in the label's plane (right, up from the dot's centre)."""
-        axes = np.array([self.right, self.up])
-        return np.asarray(np.asarray(self.centre_mm) + plane_mm @ axes)
+        return _on_plane(self.centre_mm, self.right, self.up, plane_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +79,7 @@ class Tag:
 
     def points(self, plane_mm: FloatArray) -> FloatArray:
         """Object points (n, 3) of points (n, 2) in the card's plane (right, up from the centre)."""
-        axes = np.array([self.right, self.up])
-        return np.asarray(np.asarray(self.centre_mm) + plane_mm @ axes)
+        return _on_plane(self.centre_mm, self.right, self.up, plane_mm)
 
 
 @dataclass(frozen=True, slots=True)
