@@ -5,7 +5,6 @@ A target that cannot be measured keeps its row with empty numbers and a flag; on
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import StrEnum
 
 
@@ -30,9 +29,3 @@ class Flag(StrEnum):
     """More than 0.05 cycles from whole, with the phase unknown."""
     CAMERA_MOVED = "camera_moved"
     """The frame's control targets moved: camera shake, not structure."""
-
-
-def join_flags(flags: Iterable[Flag]) -> str:
-    """Write flags as a result file has them: each once, in the order of `Flag`, with `;` between."""
-    present = set(flags)
-    return ";".join(flag.value for flag in Flag if flag in present)

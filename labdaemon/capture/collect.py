@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from pathlib import Path, PurePath
+from pathlib import Path
 
 from labdaemon.capture.devices import Camera, CardFile
 from labdaemon.capture.pairing import is_frame
@@ -115,11 +115,6 @@ async def clear_card(camera: Wired[Camera], file: CardFile) -> None:
         await camera.call(lambda driver: driver.delete(file))
     except DeviceError:
         return
-
-
-def frame_name(camera: str, file: CardFile) -> str:
-    """`CAMERA.dng`: the camera's name with the file's own ending."""
-    return camera + (PurePath(file.name).suffix.lower() or ".raw")
 
 
 async def _fetch(camera: Wired[Camera], file: CardFile, path: Path, clock: Clock) -> tuple[int, str]:
