@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from labdaemon.blur.grain import noise_of_residuals
 from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
+from labdaemon.blur.papermap import find_paper_map
 from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.relief import Relief, find_relief, paper_around
 from labdaemon.blur.render import darkness, shifted, single
@@ -97,7 +99,13 @@ def _attempt(
     planes = split(masked(cut, ~paper))
     solution, lens = _fit(dot, planes, _mean_of(first, count), blob)
     used, known = _noise(planes, solution, first, count, given=noise is not None)
-    return _target(dot, planes, paper, solution, lens, used, known)
+    target = _target(dot, planes, paper, solution, lens, used, known)
+    if known and isinstance(target.form, Ellipse) and target.form.relief is None:
+        grain = find_paper_map(
+            patch, planes, solution, target.centre_px, max(target.form.half_size_px), dot.paper_px, _mean_of(used, count)
+        )
+        target = replace(target, paper=grain)
+    return target
 
 
 def _mean_of(noise: NoiseModel, frames: int) -> NoiseModel:

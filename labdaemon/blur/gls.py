@@ -2,25 +2,41 @@
 
 Photon and read noise differ from pixel to pixel; grain does not, and moving paper smears it along the path. A fit that
 takes all of it for independent is unbiased but wastes up to half of what a long smear tells, and believes too much of
-it. The weight used here is W^½ F W^½, with W the inverse variance of the independent noise and F a filter 1/(1 + κS),
-S the grain's spectrum after the blur and κ the mean ratio of the two; the covariance is that of the true noise under
-this weight.
+it. Here
+
+- what the sharp frame shows of the grain (`papermap`) is taken off, both smeared with the target and standing still,
+  each in the proportion in which it is found: labels move with their dots, a wall behind a dot does not, and neither
+  does the sensor's own pattern;
+- the rest is weighed by W^½ F W^½, with W the inverse variance of the independent noise and F a filter 1/(1 + κS), S
+  the spectrum of the grain that is left and κ the mean ratio of the two;
+- light may bend: the diffracted skirts of the paper's own edges, and lamps, add a quadratic surface to the plane;
+- the covariance is that of the true noise under this weight.
+
+The light of each lattice is eliminated first, under W: what remains does not depend on it, whatever it is weighed by.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import fft
 
 from labdaemon.blur import shapes
 from labdaemon.blur.model import Motion, Setting
-from labdaemon.blur.mosaic import interleave
-from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel
+from labdaemon.blur.mosaic import Planes, interleave
+from labdaemon.blur.papermap import grain_power
+from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.render import single
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, derivatives
+from labdaemon.blur.solve import Model, Prior, Solution, derivatives, light_coordinates, light_level, ridge
+
+BENT = 0.02  # prior deviation of the light's curvature over a patch, relative
+MOVING, STILL = (1.0, 0.5), (0.0, 0.5)  # how much of the mapped grain is expected to move and to stand, with deviations
+MOST = 1.5  # of either, counted for what is left of it
+MARGIN_PX = 8  # of nothing around the pictures that are filtered
 
 
 def weigh_grain(
@@ -40,58 +56,194 @@ def weigh_grain(
     Returns
     -------
     Solution
-        As given where the noise model has no grain.
+        As given where the noise is not known well enough to weigh anything by it.
     """
-    noise = sharp.noise
-    if noise.texture <= 0 or not sharp.noise_known:
+    if not sharp.noise_known:
         return solution
-    planes = setting.planes
-    columns, n, k = _columns(setting, solution, model)
+    noise, planes, k = sharp.noise, setting.planes, len(solution.p)
     weight = np.where(solution.weight > 0, 1 / np.maximum(noise.variance(solution.signal), 1e-12), 0.0)
+    level = light_level(planes, solution.light)
+    dark, by_p = model(solution.p)
+    columns = derivatives(planes, solution.light, dark, by_p)
     root = interleave(planes, np.sqrt(weight))
     signal = interleave(planes, solution.signal)
+    grain = _Grain.seen(sharp, planes, solution, motion, signal, interleave(planes, level))
     left = planes.values - solution.signal
-    images = interleave(planes, np.concatenate((columns, left[None])))
-    size = tuple(int(fft.next_fast_len(length + 8, real=True)) for length in root.shape)
-    spectrum = _grain_spectrum(noise, solution.p, k, motion, size)
+    extra = [solution.signal * bend for bend in _bends(planes)] + [_dealt(planes, one) for one in grain.pictures]
+    wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), np.stack(extra), left[None]))
+    free = interleave(planes, _without_light(wanted, columns[:, k:], weight))
+    size = tuple(int(fft.next_fast_len(length + MARGIN_PX, real=True)) for length in root.shape)
+    share = grain.share(free[k + 3 : -1], free[-1], root)
+    spectrum = grain.spectrum(share, size)
     paper = root > 0
     ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
     keep = 1 / (1 + ratio * spectrum)
-    flat = _filtered(images * root, keep, size) * root
-    count = len(columns)
-    normal = _products(flat[:-1], images)
-    right = normal[:, -1].copy()
-    precision = np.zeros((count, count))
+    waves = fft.rfft2(single(free * root), s=size)
+    normal = _power(waves[:-1], waves, keep, size)
+    count = len(free) - 1
+    precision, pull = np.zeros((count, count)), np.zeros(count)
     precision[:k, :k] = prior.precision
-    right[:k] -= prior.precision @ (solution.p - prior.mean)
+    pull[:k] = prior.precision @ (solution.p - prior.mean)
+    expected = [(0.0, BENT)] * 3 + [MOVING, STILL][: len(grain.pictures)]
+    for index, (mean, sd) in enumerate(expected, start=k):
+        precision[index, index] = sd**-2
+        pull[index] = -mean * sd**-2
     inverse = _inverse(normal[:, :-1] + precision)
-    step = inverse @ right
-    # Under this weight the noise is W^-1 and grain.
-    gain = np.tensordot(inverse[:k], flat[:-1], axes=1)
-    own = np.zeros_like(root)
-    own[paper] = 1 / root[paper] ** 2
-    spread = gain * own + signal * _filtered(gain * signal, spectrum, size)
-    covariance = _products(gain, spread) + inverse[:k, :k] @ prior.precision @ inverse[:k, :k]
-    light = solution.light + step[k:].reshape(n, 4)
+    step = inverse @ (normal[:, -1] - pull)
+    # Under this weight the noise is W^-1 and the grain that is left.
+    filtered = fft.irfft2(np.tensordot(single(inverse[:k]), waves[:-1], axes=1) * single(keep), s=size)
+    gain = _dealt(planes, filtered[..., : root.shape[0], : root.shape[1]] * root)
+    gain = interleave(planes, _blind_to_light(gain, columns[:, k:], weight))
+    own = np.divide(gain, root, out=np.zeros_like(gain), where=paper)
+    covariance = own.reshape(k, -1) @ own.reshape(k, -1).T + inverse[:k] @ precision @ inverse[:, :k]
+    waves = fft.rfft2(single(gain * signal), s=size)
+    covariance += _power(waves, waves, spectrum, size)
+    light = solution.light - solution.light_part @ step[:k]
     return replace(solution, p=solution.p + step[:k], light=light, covariance=covariance, correlated=True)
 
 
-def _columns(setting: Setting, solution: Solution, model: Model) -> tuple[FloatArray, int, int]:
-    """Derivatives of all pixels by the parameters and by each lattice's own light, (k + 4n, n, h, w)."""
-    planes = setting.planes
-    dark, by_p = model(solution.p)
-    n, k = len(planes.channel), len(by_p)
-    own = derivatives(planes, solution.light, dark, by_p)
-    columns = np.zeros((k + 4 * n, *dark.shape))
-    columns[:k] = own[:, :k].swapaxes(0, 1)
-    for index in range(n):
-        columns[k + 4 * index : k + 4 * index + 4, index] = own[index, k:]
-    return columns, n, k
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grain:
+    """What is known of the grain in one blurred patch.
+
+    Attributes
+    ----------
+    pictures
+        What the sharp frame's map predicts (darker: negative), DN: moved and smeared with the target, and standing
+        still. Empty without a map.
+    power
+        From frequencies to the spectrum of the grain at rest, and to that of its smear.
+    """
+
+    pictures: list[FloatArray]
+    power: Callable[[tuple[int, ...]], tuple[FloatArray, FloatArray]]
+
+    @classmethod
+    def seen(
+        cls,
+        sharp: SharpTarget,
+        planes: Planes,
+        solution: Solution,
+        motion: Motion | None,
+        signal: FloatArray,
+        level: FloatArray,
+    ) -> _Grain:
+        p, moving = solution.p, 0 if motion is None else _count(motion)
+
+        def transfer(fx: FloatArray, fy: FloatArray) -> FloatArray | ComplexArray:
+            blur = shapes.gaussian(fx**2 + fy**2, float(p[2]))
+            return blur if motion is None else blur * motion(fx, fy, p[len(p) - moving :])[0]
+
+        def power(size: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+            fx, fy = np.broadcast_arrays(np.fft.rfftfreq(size[1])[None, :], np.fft.fftfreq(size[0])[:, None])
+            rest = grain_power(sharp.noise, fx**2 + fy**2)
+            if sharp.paper is not None:
+                rest = rest * sharp.paper.noise / (rest + sharp.paper.noise)
+            return rest, rest * np.abs(transfer(fx, fy)) ** 2
+
+        if sharp.paper is None:
+            return cls([], power)
+        origin = np.asarray(planes.origin_px)
+        height, width = signal.shape
+        shape = (height, width)
+        moved = sharp.paper.blurred(transfer, p[:2] - origin, shape, _reach(p, moving))
+        still = sharp.paper.shifted(sharp.centre_px - origin, shape)
+        return cls([-level * moved, -signal * still], power)
+
+    def share(self, pictures: FloatArray, left: FloatArray, root: FloatArray) -> tuple[float, float]:
+        """How much of the grain moves with the target and how much stands: by least squares, from what is left over.
+
+        Parameters
+        ----------
+        pictures, left
+            (2, h, w) predictions and (h, w) residuals, light eliminated.
+        root
+            (h, w) inverse deviations.
+        """
+        if not self.pictures:
+            return 1.0, 0.0
+        flat = (pictures * root).reshape(2, -1)
+        mean, sd = np.array([MOVING, STILL]).T
+        normal = flat @ flat.T + np.diag(sd**-2)
+        found = np.linalg.solve(normal, flat @ (left * root).ravel() + mean * sd**-2)
+        moving, still = np.clip(found, 0.0, MOST)
+        return float(moving), float(still)
+
+    def spectrum(self, share: tuple[float, float], size: tuple[int, ...]) -> FloatArray:
+        """Spectrum of the grain that no map tells of, relative to the paper's brightness squared."""
+        rest, smeared = self.power(size)
+        result: FloatArray = share[0] ** 2 * smeared + share[1] ** 2 * rest
+        return result
 
 
-def _products(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(i, j) sums over all pixels."""
-    result: FloatArray = first.reshape(len(first), -1) @ second.reshape(len(second), -1).T
+def _reach(p: FloatArray, moving: int) -> FloatArray:
+    """(2,) how far the motion carries, px."""
+    if moving == 0:
+        return np.zeros(2)
+    result: FloatArray = np.abs(p[-2:]) if moving == 2 else np.sqrt(np.abs(p[[-3, -1]]))
+    return result
+
+
+def _count(motion: Motion) -> int:
+    return 2 if motion is shapes.straight else 3
+
+
+def _bends(planes: Planes) -> list[FloatArray]:
+    """Quadratic surfaces over the patch."""
+    u, v = light_coordinates(planes)
+    return [u * u - 1 / 3, u * v, v * v - 1 / 3]
+
+
+def _dealt(planes: Planes, pictures: FloatArray) -> FloatArray:
+    """(..., n, h, w) lattices of (..., H, W) pictures: the inverse of `interleave`."""
+    step = planes.period
+    parts = [pictures[..., int(oy) :: step, int(ox) :: step] for ox, oy in planes.offset_px]
+    return np.stack(parts, axis=-3)
+
+
+def _without_light(pictures: FloatArray, light: FloatArray, weight: FloatArray) -> FloatArray:
+    """(m, n, h, w) pictures less what each lattice's light explains of them.
+
+    Parameters
+    ----------
+    light
+        (n, 4, h, w) derivatives by the light.
+    weight
+        (n, h, w) inverse variances.
+    """
+    n = len(light)
+    own, w = light.reshape(n, 4, -1), weight.reshape(n, 1, -1)
+    flat = pictures.swapaxes(0, 1).reshape(n, len(pictures), -1)
+    part = np.linalg.solve(_normal(own, w), (own * w) @ flat.transpose(0, 2, 1))
+    result: FloatArray = (flat - part.transpose(0, 2, 1) @ own).reshape(n, len(pictures), *weight.shape[1:])
+    return result.swapaxes(0, 1)
+
+
+def _blind_to_light(gain: FloatArray, light: FloatArray, weight: FloatArray) -> FloatArray:
+    """(k, n, h, w) gains that act on pictures as `gain` does once their light has been taken off."""
+    n = len(light)
+    own, w = light.reshape(n, 4, -1), weight.reshape(n, 1, -1)
+    flat = gain.swapaxes(0, 1).reshape(n, len(gain), -1)
+    part = np.linalg.solve(_normal(own, w), own @ flat.transpose(0, 2, 1))
+    result: FloatArray = (flat - part.transpose(0, 2, 1) @ (own * w)).reshape(n, len(gain), *weight.shape[1:])
+    return result.swapaxes(0, 1)
+
+
+def _normal(own: FloatArray, weight: FloatArray) -> FloatArray:
+    normal = (own * weight) @ own.transpose(0, 2, 1)
+    return normal + ridge(normal, 1e-12)
+
+
+def _power(first: Any, second: Any, spectrum: FloatArray, size: tuple[int, ...]) -> FloatArray:
+    """(i, j) sums over all pixels of filtered pictures times others, from their half spectra (Parseval)."""
+    twice = np.full(spectrum.shape[1], 2.0)
+    twice[0] = 1.0
+    if size[1] % 2 == 0:
+        twice[-1] = 1.0
+    factor = single(spectrum * twice / (size[0] * size[1]))
+    left = (first * factor).reshape(len(first), -1).view(np.float32)
+    right = second.reshape(len(second), -1).view(np.float32)
+    result: FloatArray = (left @ right.T).astype(np.float64)
     return result
 
 
@@ -102,29 +254,3 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     inverse = np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-13, hermitian=True)
     result: FloatArray = inverse / np.outer(scale, scale)
     return result
-
-
-def _grain_spectrum(
-    noise: NoiseModel, p: FloatArray, k: int, motion: Motion | None, size: tuple[int, ...]
-) -> FloatArray:
-    """Power of the grain at each frequency of a picture of `size`, relative to the paper's brightness squared."""
-    fy, fx = np.fft.fftfreq(size[0])[:, None], np.fft.rfftfreq(size[1])[None, :]
-    f2 = fx**2 + fy**2
-    length = noise.texture_px
-    power: FloatArray = noise.texture**2 * 4 * np.pi * length**2 * np.exp(-4 * np.pi**2 * length**2 * f2)
-    power = power * shapes.gaussian(f2, 2 * float(p[2]))
-    if motion is not None:
-        full_x, full_y = np.broadcast_arrays(fx, fy)
-        transfer: FloatArray | ComplexArray = motion(full_x, full_y, p[k - _count(motion) :])[0]
-        power = power * np.abs(transfer) ** 2
-    return power
-
-
-def _count(motion: Motion) -> int:
-    return 2 if motion is shapes.straight else 3
-
-
-def _filtered(images: FloatArray, keep: FloatArray, size: tuple[int, ...]) -> FloatArray:
-    height, width = images.shape[-2:]
-    result: FloatArray = fft.irfft2(fft.rfft2(single(images), s=size) * single(keep), s=size)[..., :height, :width]
-    return result.astype(np.float64)

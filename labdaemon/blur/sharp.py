@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labdaemon.blur import shapes
 from labdaemon.blur.mosaic import Grid
+from labdaemon.blur.papermap import PaperMap
 from labdaemon.blur.pixels import ComplexArray, FloatArray, NoiseModel
 from labdaemon.blur.relief import Relief
 from labdaemon.errors import UsageError
@@ -214,6 +215,7 @@ class SharpTarget:
     paper_px: float = float("inf")
     chi2: float = 1.0
     flags: frozenset[Flag] = field(default_factory=frozenset)
+    paper: PaperMap | None = None
 
     @property
     def usable(self) -> bool:

@@ -116,7 +116,7 @@ def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatAr
     design = np.stack(columns, axis=1).reshape(n, 4, -1)
     w = weight.reshape(n, -1)
     normal = (design * w[:, None]) @ design.transpose(0, 2, 1)
-    normal += _ridge(normal, 1e-9)
+    normal += ridge(normal, 1e-9)
     right = (design * w[:, None]) @ planes.values.reshape(n, -1, 1)
     solution: FloatArray = np.linalg.solve(normal, right)[..., 0].astype(np.float64)
     solution[:, 3] /= np.where(np.abs(solution[:, 0]) > 1e-12, solution[:, 0], 1.0)
@@ -130,7 +130,7 @@ def light_level(planes: Planes, light: FloatArray) -> FloatArray:
     return level
 
 
-def _ridge(normal: FloatArray, part: float) -> FloatArray:
+def ridge(normal: FloatArray, part: float) -> FloatArray:
     """A little on the diagonals, so that a lattice without a valid pixel does no harm."""
     trace = np.trace(normal, axis1=1, axis2=2)
     result: FloatArray = np.where(trace > 0, part * trace, 1.0)[:, None, None] * np.eye(normal.shape[-1])
@@ -289,7 +289,7 @@ def _normal_equations(
     residual = planes.values - render_light(planes, light, dark)
     gradient = (weighted @ residual.reshape(n, -1, 1))[..., 0]
     ll = normal[:, k:, k:]
-    inner = np.linalg.solve(ll + _ridge(ll, 1e-12), np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
+    inner = np.linalg.solve(ll + ridge(ll, 1e-12), np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
     reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ inner[:, :, :k]).sum(axis=0) + prior.precision
     right = (gradient[:, :k] - (normal[:, :k, k:] @ inner[:, :, k:])[..., 0]).sum(axis=0)
     right = right - prior.precision @ (p - prior.mean)

@@ -231,7 +231,7 @@ def _sizes(view: View, survey: CameraSurvey) -> tuple[float, float]:
 
 def _around(dot: Dot, frame: RawFrame) -> Patch:
     """The part of a frame that holds a dot and its paper."""
-    half = int(np.ceil(2.0 * dot.semi_major_px + 10))
+    half = int(np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + 130.0))))
     return frame.patch(round(dot.x_px) - half, round(dot.y_px) - half, 2 * half + 1, 2 * half + 1)
 
 
