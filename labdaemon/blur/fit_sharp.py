@@ -12,7 +12,7 @@ from labdaemon.blur.grain import noise_of_residuals
 from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
-from labdaemon.blur.papermap import find_paper_map
+from labdaemon.blur.papermap import map_paper
 from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.relief import Relief, find_relief, paper_around
 from labdaemon.blur.render import darkness, shifted, single
@@ -25,7 +25,7 @@ from labdaemon.flags import Flag
 COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
 SMEARED_PX2, SMEARED_PART = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
 EDGE_PX = 4.5  # how far the paper's edge is kept away
-MARGIN_PX = 8  # between a patch and its periodic images
+MARGIN_PX = 16  # between a patch and its periodic images
 SUSPECT_CHI2 = 1.5  # from which a sharp frame is tested for smear; neighbours judge noise to a factor of two
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
 
@@ -100,12 +100,13 @@ def _attempt(
     solution, lens = _fit(dot, planes, _mean_of(first, count), blob)
     used, known = _noise(planes, solution, first, count, given=noise is not None)
     target = _target(dot, planes, paper, solution, lens, used, known)
-    if known and isinstance(target.form, Ellipse) and target.form.relief is None:
-        grain = find_paper_map(
-            patch, planes, solution, target.centre_px, max(target.form.half_size_px), dot.paper_px, _mean_of(used, count)
-        )
-        target = replace(target, paper=grain)
-    return target
+    if not known or not target.usable or not isinstance(target.form, Ellipse) or target.form.relief is not None:
+        return target
+    radius = max(target.form.half_size_px)
+    single = _mean_of(used, count)
+    grain, seen = map_paper(patch, planes, solution, target.centre_px, radius, dot.paper_px, single)
+    texture = used.texture if noise is not None and noise.texture else seen.texture
+    return replace(target, paper=grain, noise=replace(used, texture=texture, texture_px=seen.texture_px))
 
 
 def _mean_of(noise: NoiseModel, frames: int) -> NoiseModel:

@@ -17,7 +17,6 @@ The light of each lattice is eliminated first, under W: what remains does not de
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,10 +24,10 @@ import numpy as np
 from scipy import fft
 
 from labdaemon.blur import shapes
-from labdaemon.blur.model import Motion, Setting
+from labdaemon.blur.model import Setting
 from labdaemon.blur.mosaic import Planes, interleave
-from labdaemon.blur.papermap import grain_power
-from labdaemon.blur.pixels import ComplexArray, FloatArray
+from labdaemon.blur.papermap import grain_power, half_plane
+from labdaemon.blur.pixels import FloatArray, NoiseModel
 from labdaemon.blur.render import single
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Model, Prior, Solution, derivatives, light_coordinates, light_level, ridge
@@ -36,11 +35,12 @@ from labdaemon.blur.solve import Model, Prior, Solution, derivatives, light_coor
 BENT = 0.02  # prior deviation of the light's curvature over a patch, relative
 MOVING, STILL = (1.0, 0.5), (0.0, 0.5)  # how much of the mapped grain is expected to move and to stand, with deviations
 MOST = 1.5  # of either, counted for what is left of it
+SINGULAR = 1e12
 MARGIN_PX = 8  # of nothing around the pictures that are filtered
 
 
 def weigh_grain(
-    sharp: SharpTarget, setting: Setting, solution: Solution, model: Model, motion: Motion | None, prior: Prior
+    sharp: SharpTarget, setting: Setting, solution: Solution, model: Model, moment_px2: FloatArray, prior: Prior
 ) -> Solution:
     """One Gauss–Newton step from a solution with grain in the weights, and the covariance that goes with it.
 
@@ -50,8 +50,10 @@ def weigh_grain(
         The target and what was fitted.
     solution
         A converged fit with independent weights.
-    model, motion, prior
+    model, prior
         As it was fitted with.
+    moment_px2
+        (3,) the motion's aaᵀ + bbᵀ, as m0, m1, m2.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def weigh_grain(
     columns = derivatives(planes, solution.light, dark, by_p)
     root = interleave(planes, np.sqrt(weight))
     signal = interleave(planes, solution.signal)
-    grain = _Grain.seen(sharp, planes, solution, motion, signal, interleave(planes, level))
+    grain = _Grain.seen(sharp, planes, solution, moment_px2, signal, interleave(planes, level))
     left = planes.values - solution.signal
     extra = [solution.signal * bend for bend in _bends(planes)] + [_dealt(planes, one) for one in grain.pictures]
     wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), np.stack(extra), left[None]))
@@ -111,12 +113,19 @@ class _Grain:
     pictures
         What the sharp frame's map predicts (darker: negative), DN: moved and smeared with the target, and standing
         still. Empty without a map.
-    power
-        From frequencies to the spectrum of the grain at rest, and to that of its smear.
+    noise
+        With the grain's strength and length.
+    unseen
+        Noise of the map; infinite without one.
+    blur_px2, moment_px2
+        Extra blur and motion.
     """
 
     pictures: list[FloatArray]
-    power: Callable[[tuple[int, ...]], tuple[FloatArray, FloatArray]]
+    noise: NoiseModel
+    unseen: float
+    blur_px2: float
+    moment_px2: FloatArray
 
     @classmethod
     def seen(
@@ -124,31 +133,18 @@ class _Grain:
         sharp: SharpTarget,
         planes: Planes,
         solution: Solution,
-        motion: Motion | None,
+        moment_px2: FloatArray,
         signal: FloatArray,
         level: FloatArray,
     ) -> _Grain:
-        p, moving = solution.p, 0 if motion is None else _count(motion)
-
-        def transfer(fx: FloatArray, fy: FloatArray) -> FloatArray | ComplexArray:
-            blur = shapes.gaussian(fx**2 + fy**2, float(p[2]))
-            return blur if motion is None else blur * motion(fx, fy, p[len(p) - moving :])[0]
-
-        def power(size: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-            fx, fy = np.broadcast_arrays(np.fft.rfftfreq(size[1])[None, :], np.fft.fftfreq(size[0])[:, None])
-            rest = grain_power(sharp.noise, fx**2 + fy**2)
-            if sharp.paper is not None:
-                rest = rest * sharp.paper.noise / (rest + sharp.paper.noise)
-            return rest, rest * np.abs(transfer(fx, fy)) ** 2
-
-        if sharp.paper is None:
-            return cls([], power)
+        p, paper = solution.p, sharp.paper
+        if paper is None:
+            return cls([], sharp.noise, np.inf, float(p[2]), moment_px2)
         origin = np.asarray(planes.origin_px)
         height, width = signal.shape
-        shape = (height, width)
-        moved = sharp.paper.blurred(transfer, p[:2] - origin, shape, _reach(p, moving))
-        still = sharp.paper.shifted(sharp.centre_px - origin, shape)
-        return cls([-level * moved, -signal * still], power)
+        moved = paper.blurred(float(p[2]), moment_px2, p[:2] - origin, (height, width))
+        still = paper.shifted(sharp.centre_px - origin, (height, width))
+        return cls([-level * moved, -signal * still], sharp.noise, paper.noise, float(p[2]), moment_px2)
 
     def share(self, pictures: FloatArray, left: FloatArray, root: FloatArray) -> tuple[float, float]:
         """How much of the grain moves with the target and how much stands: by least squares, from what is left over.
@@ -171,21 +167,13 @@ class _Grain:
 
     def spectrum(self, share: tuple[float, float], size: tuple[int, ...]) -> FloatArray:
         """Spectrum of the grain that no map tells of, relative to the paper's brightness squared."""
-        rest, smeared = self.power(size)
-        result: FloatArray = share[0] ** 2 * smeared + share[1] ** 2 * rest
+        fx, fy = half_plane(size)
+        power = grain_power(self.noise, fx**2 + fy**2)
+        if np.isfinite(self.unseen):
+            power = power * self.unseen / (power + self.unseen)
+        smear = shapes.smear(fx, fy, self.blur_px2, self.moment_px2)
+        result: FloatArray = power * (share[0] ** 2 * smear**2 + share[1] ** 2)
         return result
-
-
-def _reach(p: FloatArray, moving: int) -> FloatArray:
-    """(2,) how far the motion carries, px."""
-    if moving == 0:
-        return np.zeros(2)
-    result: FloatArray = np.abs(p[-2:]) if moving == 2 else np.sqrt(np.abs(p[[-3, -1]]))
-    return result
-
-
-def _count(motion: Motion) -> int:
-    return 2 if motion is shapes.straight else 3
 
 
 def _bends(planes: Planes) -> list[FloatArray]:
@@ -240,17 +228,22 @@ def _power(first: Any, second: Any, spectrum: FloatArray, size: tuple[int, ...])
     twice[0] = 1.0
     if size[1] % 2 == 0:
         twice[-1] = 1.0
-    factor = single(spectrum * twice / (size[0] * size[1]))
-    left = (first * factor).reshape(len(first), -1).view(np.float32)
-    right = second.reshape(len(second), -1).view(np.float32)
-    result: FloatArray = (left @ right.T).astype(np.float64)
+    factor = spectrum * twice / (size[0] * size[1])
+    left = (first * factor).reshape(len(first), -1).view(np.float64)
+    right = second.astype(np.complex128).reshape(len(second), -1).view(np.float64)
+    result: FloatArray = left @ right.T
     return result
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
     """Inverse of a normal matrix, scaled first; directions that nothing determines stay out."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scale = np.where(np.diag(matrix) > 0, scale, 1.0)
-    inverse = np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    scale = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+    scaled = matrix / np.outer(scale, scale)
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(scaled, np.inf)
+    if not np.abs(inverse).max() < SINGULAR:
+        inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
     result: FloatArray = inverse / np.outer(scale, scale)
     return result

@@ -37,14 +37,14 @@ def noise_of_residuals(
     left, level, good = (interleave(planes, v) for v in (residual, signal, valid))
     good = (good > 0).astype(np.float64)
     left = left * good
-    grain, length = _grain(left, level * good, good)
+    grain, length = grain_of(left, level * good, good)
     square, s = left[good > 0] ** 2 - (grain * level[good > 0]) ** 2, level[good > 0]
     # Two clusters, ink and paper: a straight line through their means, weighted by how well each is known.
     read2, gain = _line(s, square)
     return NoiseModel(float(np.sqrt(max(read2 * frames, 1e-6))), float(gain * frames), grain, length)
 
 
-def _grain(left: FloatArray, level: FloatArray, good: FloatArray) -> tuple[float, float]:
+def grain_of(left: FloatArray, level: FloatArray, good: FloatArray) -> tuple[float, float]:
     """Relative strength and length of the grain by the covariance at several distances; 0 where it does not show."""
     distances, values, sds = [], [], []
     height, width = left.shape

@@ -78,7 +78,8 @@ def prepare(
         cut = masked(cut, ~trusted(relief, cut, place, a, b, half_w))
     planes = split(cut)
     height, width = cut.shape
-    grid = make_grid((height + 4, width + 4), sharp.form.oversampling)
+    margin = sharp.form.skirt_px
+    grid = make_grid((height + margin, width + margin), sharp.form.oversampling)
     spectra, by_shape = sharp.form.spectra(grid, planes.channel)
     return Setting(planes, grid, spectra, by_shape, blob.centre_px, blob)
 

@@ -7,21 +7,25 @@ stands above the sharp frame's own noise (Wiener); the rest stays noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
+from labdaemon.blur import shapes
+from labdaemon.blur.grain import grain_of
 from labdaemon.blur.mosaic import Planes, interleave
-from labdaemon.blur.pixels import BoolArray, ComplexArray, FloatArray, NoiseModel, Patch
+from labdaemon.blur.pixels import BoolArray, FloatArray, NoiseModel, Patch
 from labdaemon.blur.solve import Solution, light_level
 
 RIM_PX = 4.0  # around the dot where the fit knows the light better than a surface through the paper does
 EDGE_PX = 4.5  # how far the paper's blurred edge is kept away
 REACH_PX = 130.0  # of paper around a dot that is kept: twice the longest smears
-LEAST_PIXELS = 400
+LEAST_PIXELS = 400  # of each colour
+AROUND_PX = 21  # square over which the paper's brightness is averaged: what is longer is light, not grain
+ROUGH = 1.5  # variance, against noise and grain near the dot, from which this is not plain paper
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,38 +46,40 @@ class PaperMap:
     centre_px: FloatArray
     noise: float
 
-    def blurred(self, transfer: Callable[[FloatArray, FloatArray], FloatArray | ComplexArray], centre_px: FloatArray, shape: tuple[int, int], reach_px: FloatArray) -> FloatArray:
-        """(h, w) the grain in a blurred patch.
+    def blurred(
+        self, blur_px2: float, moment_px2: FloatArray, centre_px: FloatArray, shape: tuple[int, int]
+    ) -> FloatArray:
+        """(h, w) the grain in a patch, smeared with the target.
 
         Parameters
         ----------
-        transfer
-            From fx, fy to the blur.
+        blur_px2
+            Extra blur.
+        moment_px2
+            (3,) the motion's aaᵀ + bbᵀ.
         centre_px
             (2,) the target's mean position in the patch.
         shape
             Of the patch.
-        reach_px
-            (2,) how far the motion carries, x and y.
         """
         height, width = shape
         move = centre_px - self.centre_px
         whole = np.rint(move).astype(int)
-        pad_x, pad_y = (int(np.ceil(v)) + 2 for v in reach_px)
+        pad_x, pad_y = (int(np.ceil(np.sqrt(max(v, 0.0)))) + 2 for v in moment_px2[[0, 2]])
         # Everything that can have come into the patch.
         around = (height + 2 * pad_y, width + 2 * pad_x)
         part = self._cut(-pad_x - whole[0], -pad_y - whole[1], around)
-        size = tuple(int(fft.next_fast_len(length, real=True)) for length in around)
-        fx, fy = np.fft.rfftfreq(size[1])[None, :], np.fft.fftfreq(size[0])[:, None]
+        size = (int(fft.next_fast_len(around[0], real=True)), int(fft.next_fast_len(around[1], real=True)))
+        fx, fy = half_plane(size)
         rest = move - whole
-        factor = transfer(*np.broadcast_arrays(fx, fy)) * np.exp(-2j * np.pi * (fx * rest[0] + fy * rest[1]))
+        turn = np.exp(-2j * np.pi * rest[1] * fy) * np.exp(-2j * np.pi * rest[0] * fx)
+        factor = shapes.smear(fx, fy, blur_px2, moment_px2) * turn
         image = fft.irfft2(fft.rfft2(part, s=size) * factor.astype(np.complex64), s=size)
         result: FloatArray = image[pad_y : pad_y + height, pad_x : pad_x + width].astype(np.float64)
         return result
 
-
     def shifted(self, centre_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
-        """(h, w) the grain in a patch in which the target's place at rest is `centre_px`, (2,), to the nearest pixel."""
+        """(h, w) the grain in a patch in which the target at rest is at `centre_px`, (2,), to the nearest pixel."""
         left, top = np.rint(centre_px - self.centre_px).astype(int)
         return self._cut(-left, -top, shape).astype(np.float64)
 
@@ -94,10 +100,23 @@ def grain_power(noise: NoiseModel, f2: FloatArray) -> FloatArray:
     return result
 
 
-def find_paper_map(
-    patch: Patch, planes: Planes, solution: Solution, centre_px: FloatArray, radius_px: float, paper_px: float, noise: NoiseModel
-) -> PaperMap | None:
-    """Grain of the paper around a fitted dot; None where it does not show.
+@lru_cache(maxsize=64)
+def half_plane(size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (1, w // 2 + 1) and (h, 1) of pictures of `size` (h, w), cycles a pixel."""
+    fx, fy = np.fft.rfftfreq(size[1]), np.fft.fftfreq(size[0])
+    return fx[None, :].astype(np.float64), fy[:, None].astype(np.float64)
+
+
+def map_paper(
+    patch: Patch,
+    planes: Planes,
+    solution: Solution,
+    centre_px: FloatArray,
+    radius_px: float,
+    paper_px: float,
+    noise: NoiseModel,
+) -> tuple[PaperMap | None, NoiseModel]:
+    """Grain of the paper around a fitted dot, and the noise model with the strength of it that all this paper shows.
 
     Parameters
     ----------
@@ -110,10 +129,13 @@ def find_paper_map(
     paper_px
         Distance of the paper's edge.
     noise
-        Of this picture (a mean of frames has less than one).
+        Of this picture (a mean of frames has less than one), by the fit of the dot.
+
+    Returns
+    -------
+    map, noise
+        No map, and the noise as given, where little paper is to be seen or it is not plain paper.
     """
-    if noise.texture <= 0:
-        return None
     reach = int(min(paper_px - EDGE_PX, radius_px + REACH_PX))
     left, top = (int(np.rint(v)) - reach for v in centre_px)
     wide = patch.crop(left, top, 2 * reach + 1, 2 * reach + 1)
@@ -122,26 +144,31 @@ def find_paper_map(
     y = (np.arange(height) + wide.origin_px[1] - centre_px[1])[:, None]
     distance = np.hypot(x, y)
     paper = wide.valid & (distance < reach) & (distance > radius_px + RIM_PX)
-    dark = np.zeros(wide.shape)
-    relative = np.zeros(wide.shape)
+    dark, white = np.zeros(wide.shape), np.zeros(wide.shape)
     for channel in np.unique(wide.channel):
         here = paper & (wide.channel == channel)
         if np.count_nonzero(here) < LEAST_PIXELS:
-            continue
+            return None, noise
         level = _surface(wide.values, here, x / reach, y / reach)
         dark[here] = 1 - wide.values[here] / level[here]
-        relative[here] = noise.variance(level[here]) / level[here] ** 2
+        white[here] = noise.variance(level[here]) / level[here] ** 2
     # Hot pixels and specks of dirt.
-    spread = 1.48 * float(np.median(np.abs(dark[paper]))) if paper.any() else 0.0
-    dark[np.abs(dark) > 5 * spread] = 0.0
+    paper &= np.abs(dark) < 5 * 1.48 * float(np.median(np.abs(dark[paper])))
+    dark[~paper] = 0.0
+    near = ndimage.uniform_filter(paper.astype(np.float64), AROUND_PX, mode="constant")
+    dark -= np.where(paper, ndimage.uniform_filter(dark, AROUND_PX, mode="constant") / np.maximum(near, 1e-3), 0.0)
+    floor = float(np.mean(white[paper]))
+    if float(np.mean(dark[paper] ** 2)) > ROUGH * (floor + noise.texture**2):
+        return None, noise
+    texture, length = grain_of(dark, paper.astype(np.float64), paper.astype(np.float64))
+    noise = replace(noise, texture=texture, texture_px=length)
+    if texture <= 0:
+        return None, noise
     _overlay(dark, wide, planes, solution)
-    if not paper.any():
-        return None
-    floor = float(np.mean(relative[paper]))
-    f2 = np.fft.fftfreq(height)[:, None] ** 2 + np.fft.rfftfreq(width)[None, :] ** 2
-    power = grain_power(noise, f2)
+    fx, fy = half_plane((height, width))
+    power = grain_power(noise, fx**2 + fy**2)
     kept = fft.irfft2(fft.rfft2(dark) * (power / (power + floor)), s=dark.shape)
-    return PaperMap(kept.astype(np.float32), centre_px - np.asarray(wide.origin_px), floor)
+    return PaperMap(kept.astype(np.float32), centre_px - np.asarray(wide.origin_px), floor), noise
 
 
 def _surface(values: FloatArray, paper: BoolArray, x: FloatArray, y: FloatArray) -> FloatArray:

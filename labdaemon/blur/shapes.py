@@ -96,3 +96,11 @@ def straight(fx: FloatArray, fy: FloatArray, a: FloatArray) -> tuple[FloatArray,
     z = 2 * np.pi * (a[0] * fx + a[1] * fy)
     slope = -2 * np.pi * special.j1(z)
     return special.j0(z), np.stack((slope * fx, slope * fy))
+
+
+def smear(fx: FloatArray, fy: FloatArray, variance_px2: float, moment: FloatArray) -> FloatArray:
+    """Transfer function of a motion with second moment aaᵀ + bbᵀ = (m0, m1, m2), over whole cycles, and a Gaussian."""
+    fx2, fy2 = fx * fx, fy * fy
+    z2 = 4 * np.pi**2 * (moment[0] * fx2 + (2 * moment[1] * fy) * fx + moment[2] * fy2)
+    result: FloatArray = special.j0(np.sqrt(np.maximum(z2, 0.0)))
+    return result * (gaussian(fx2, variance_px2) * gaussian(fy2, variance_px2))

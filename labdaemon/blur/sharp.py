@@ -108,6 +108,11 @@ class Form(Protocol):
         """Oversampling of the frequencies that it needs."""
         ...
 
+    @property
+    def skirt_px(self) -> int:
+        """Room that its blur needs between it and its periodic images."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipse:
@@ -177,6 +182,11 @@ class Ellipse:
     def oversampling(self) -> int:
         """2 for a lens that is sharper than the pixels."""
         return 2 if self.lens.sharp else 1
+
+    @property
+    def skirt_px(self) -> int:
+        """12 for a lens that diffraction limits: an Airy pattern's skirts fall slowly; 4 for others."""
+        return 12 if float(np.max(self.lens.width_px)) > 1.0 else 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

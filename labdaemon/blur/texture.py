@@ -81,6 +81,11 @@ class Texture:
         """Samples know nothing beyond their own Nyquist frequency."""
         return 1
 
+    @property
+    def skirt_px(self) -> int:
+        """Its samples end where they end."""
+        return 4
+
 
 def sharp_texture(
     patches: Patch | Sequence[Patch],

@@ -61,7 +61,7 @@ def measure_whole_cycles(
     minor = lam[1] + (2 * (free.p[2] - blur.mean_px2) if blur.one_sided_px2 > 0 else 0.0)
     if orbit and lam[0] > REST_SIGMAS * sd[0] and minor > REST_SIGMAS * np.hypot(sd[1], blur.one_sided_px2):
         free = weigh_grain(
-            sharp, setting, free, blurred_model(setting, shapes.orbit), shapes.orbit, nuisance_prior(sharp, blur, 3)
+            sharp, setting, free, blurred_model(setting, shapes.orbit), free.p[3 + k :], nuisance_prior(sharp, blur, 3)
         )
         spread = honest_covariance(sharp, free, setting.planes)
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
@@ -189,7 +189,8 @@ def _fit_straight(
         best = one_step(setting.planes, weights, model, start, prior, light)
     else:
         best = solve(setting.planes, weights, model, start, prior, light=light)
-    best = weigh_grain(sharp, setting, best, model, shapes.straight, prior)
+    ax, ay = best.p[3 + k :]
+    best = weigh_grain(sharp, setting, best, model, np.array([ax**2, ax * ay, ay**2]), prior)
     return without_template_noise(sharp, setting, best, shapes.straight)
 
 
