@@ -15,7 +15,7 @@ from labdaemon.flags import Flag
 
 FREE_SD_PX2 = 0.3
 TEXTURE_SD_PX2 = 1e-3
-SHARED_SD_PX2 = 0.004  # what all control targets of a frame have wrong in common (interpolation between its pixels)
+SHARED_SD_PX2 = 0.002  # what all control targets of a frame have wrong in common (interpolation between its pixels)
 
 
 def default_blur(sharp: SharpTarget) -> ExtraBlur:

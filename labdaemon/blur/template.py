@@ -19,13 +19,18 @@ from labdaemon.blur.solve import Solution
 from labdaemon.blur.texture import Texture
 
 
-def without_template_noise(sharp: SharpTarget, setting: Setting, solution: Solution, motion: Motion | None) -> Solution:
-    """The solution, corrected for the noise of the sharp picture where that was the target; else as it is."""
+def without_template_noise(
+    sharp: SharpTarget, setting: Setting, solution: Solution, motion: Motion | None, leaves: FloatArray | None = None
+) -> Solution:
+    """The solution, corrected for the noise of the sharp picture where that was the target; else as it is.
+
+    `leaves` is what both pictures were filtered by, if they were.
+    """
     form = sharp.form
     if not isinstance(form, Texture):
         return solution
     k = len(setting.by_shape)
-    passed = _passed(setting, form, motion, k)
+    passed = _passed(setting, form, motion, k, leaves)
     slopes = _slopes(passed, solution.p, [2, *range(3 + k, len(solution.p))])
     # The sharp picture's noise, seen through the same light, is that of the blurred one.
     power = np.sum(solution.weight * sharp.noise.variance(solution.signal), axis=(1, 2)) / form.frames
@@ -35,7 +40,9 @@ def without_template_noise(sharp: SharpTarget, setting: Setting, solution: Solut
     return replace(solution, p=solution.p + solution.covariance @ gradient)
 
 
-def _passed(setting: Setting, form: Texture, motion: Motion | None, k: int) -> Callable[[FloatArray], float]:
+def _passed(
+    setting: Setting, form: Texture, motion: Motion | None, k: int, leaves: FloatArray | None
+) -> Callable[[FloatArray], float]:
     """Part of white noise's power that a blur lets through, within the band that the samples fill."""
     grid = setting.grid
     f2 = grid.fx**2 + grid.fy**2
@@ -43,6 +50,8 @@ def _passed(setting: Setting, form: Texture, motion: Motion | None, k: int) -> C
 
     def passed(p: FloatArray) -> float:
         whole = shapes.gaussian(f2, float(p[2])).astype(np.complex128)
+        if leaves is not None:
+            whole = whole * leaves
         if motion is not None:
             whole = whole * motion(grid.fx, grid.fy, p[3 + k :])[0]
         return float(np.mean(np.abs(whole[band]) ** 2))
