@@ -35,6 +35,7 @@ from labdaemon.blur.solve import Model, Prior, Solution, derivatives, light_coor
 BENT = 0.02  # prior deviation of the light's curvature over a patch, relative
 MOVING, STILL = (1.0, 0.5), (0.0, 0.5)  # how much of the mapped grain is expected to move and to stand, with deviations
 MOST = 1.5  # of either, counted for what is left of it
+ODD_CHI2 = 4.0  # residuals from which a fit is not improved by weighing noise
 SINGULAR = 1e12
 MARGIN_PX = 8  # of nothing around the pictures that are filtered
 
@@ -58,9 +59,9 @@ def weigh_grain(
     Returns
     -------
     Solution
-        As given where the noise is not known well enough to weigh anything by it.
+        As given where the noise is not known, or the residuals are not noise.
     """
-    if not sharp.noise_known:
+    if not sharp.noise_known or solution.chi2 > ODD_CHI2:
         return solution
     noise, planes, k = sharp.noise, setting.planes, len(solution.p)
     weight = np.where(solution.weight > 0, 1 / np.maximum(noise.variance(solution.signal), 1e-12), 0.0)
