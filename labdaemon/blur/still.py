@@ -9,10 +9,8 @@ from labdaemon.blur.model import blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Start, StillMeasurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.soften import VARIANCE, softened, transfer
 from labdaemon.blur.solve import solve
 from labdaemon.blur.template import without_template_noise
-from labdaemon.blur.texture import Texture
 from labdaemon.blur.weights import nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 
@@ -53,9 +51,6 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
     setting = prepare(sharp, patch, expected)
     if setting is None:
         return lost
-    soft = isinstance(sharp.form, Texture)
-    if soft:
-        setting = softened(setting)
     k = len(setting.by_shape)
     first = np.concatenate((setting.start_px, [0.0], np.zeros(k)))
 
@@ -71,7 +66,7 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
         begin[:2] += (dx, dy)
         found = solve(
             setting.planes,
-            pixel_weights(sharp, setting.planes, VARIANCE if soft else 1.0),
+            pixel_weights(sharp, setting.planes),
             blurred_model(setting, None),
             begin,
             nuisance_prior(sharp, FREE_BLUR, 0),
@@ -83,9 +78,7 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
         if again or best.chi2 < 1.5:  # two ways that end in one place found the right one
             break
     assert best is not None
-    best = without_template_noise(
-        sharp, setting, best, None, transfer(setting.grid, setting.planes.period) if soft else None
-    )
+    best = without_template_noise(sharp, setting, best, None)
     covariance = honest_covariance(sharp, best, setting.planes)[:3, :3]
     covariance[:2, :2] += sharp.covariance_px2
     flags = {Flag.POOR_FIT} if best.chi2 > 2.0 and sharp.noise_known else set()

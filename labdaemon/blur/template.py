@@ -6,63 +6,63 @@ smooth it away. To first order the shift of the parameters is −C·½·∂/∂p
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from labdaemon.blur import shapes
 from labdaemon.blur.model import Motion, Setting
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.solve import Solution
 from labdaemon.blur.texture import Texture
 
 
-def without_template_noise(
-    sharp: SharpTarget, setting: Setting, solution: Solution, motion: Motion | None, leaves: FloatArray | None = None
-) -> Solution:
-    """The solution, corrected for the noise of the sharp picture where that was the target; else as it is.
-
-    `leaves` is what both pictures were filtered by, if they were.
-    """
+def without_template_noise(sharp: SharpTarget, setting: Setting, solution: Solution, motion: Motion | None) -> Solution:
+    """The solution, corrected for the noise of the sharp picture where that was the target; else as it is."""
     form = sharp.form
     if not isinstance(form, Texture):
         return solution
     k = len(setting.by_shape)
-    passed = _passed(setting, form, motion, k, leaves)
-    slopes = _slopes(passed, solution.p, [2, *range(3 + k, len(solution.p))])
-    # The sharp picture's noise, seen through the same light, is that of the blurred one.
-    power = np.sum(solution.weight * sharp.noise.variance(solution.signal), axis=(1, 2)) / form.frames
+    through, slopes, bends = _passed(setting, form, motion, solution.p, [2, *range(3 + k, len(solution.p))], k)
+    # Both pictures' noise is in the residuals, the sharp one's as far as the blur lets it through. What a noise model
+    # says would count the sensor's own pattern, too, which is the same in both.
+    power = np.sum(solution.residual**2, axis=(1, 2)) / (form.frames + through)
     contrast = np.where(power > 0, solution.light[:, 3], 1.0)
-    by_contrast = power / contrast * passed(solution.p)
-    gradient = slopes * float(np.sum(power)) / 2 - by_contrast @ solution.light_part[:, 3]
-    return replace(solution, p=solution.p + solution.covariance @ gradient)
+    total = float(np.sum(power))
+    gradient = slopes * total / 2 - (power / contrast * through) @ solution.light_part[:, 3]
+    # A noisy picture changes more with its blur than the target does: that part tells nothing.
+    step = np.linalg.solve(
+        np.eye(len(solution.p)) - total * solution.covariance @ bends, solution.covariance @ gradient
+    )
+    return replace(solution, p=solution.p + step)
 
 
 def _passed(
-    setting: Setting, form: Texture, motion: Motion | None, k: int, leaves: FloatArray | None
-) -> Callable[[FloatArray], float]:
-    """Part of white noise's power that a blur lets through, within the band that the samples fill."""
+    setting: Setting, form: Texture, motion: Motion | None, at: FloatArray, which: list[int], k: int
+) -> tuple[float, FloatArray, FloatArray]:
+    """What a blur lets through of white noise's power, within the band that the samples fill.
+
+    Returns
+    -------
+    through, slopes, bends
+        Its part; (m,) derivatives by the parameters; (m, m) mean products of the transfer function's own derivatives.
+        The last two are 0 but for the parameters `which`.
+    """
     grid = setting.grid
-    f2 = grid.fx**2 + grid.fy**2
-    band = np.abs(grid.fx) + np.abs(grid.fy) < 0.5 if len(form.channel) > 1 else np.ones(f2.shape, dtype=bool)
+    band = np.abs(grid.fx) + np.abs(grid.fy) < 0.5 if len(form.channel) > 1 else np.ones(grid.fx.shape, dtype=bool)
+    fx, fy = grid.fx[band], grid.fy[band]
 
-    def passed(p: FloatArray) -> float:
-        whole = shapes.gaussian(f2, float(p[2])).astype(np.complex128)
-        if leaves is not None:
-            whole = whole * leaves
-        if motion is not None:
-            whole = whole * motion(grid.fx, grid.fy, p[3 + k :])[0]
-        return float(np.mean(np.abs(whole[band]) ** 2))
+    def transfer(p: FloatArray) -> ComplexArray:
+        whole = shapes.gaussian(fx**2 + fy**2, float(p[2])).astype(np.complex128)
+        return whole if motion is None else whole * motion(fx, fy, p[3 + k :])[0]
 
-    return passed
-
-
-def _slopes(function: Callable[[FloatArray], float], at: FloatArray, which: list[int]) -> FloatArray:
-    result = np.zeros(len(at))
+    middle = transfer(at)
+    change = np.zeros((len(at), len(middle)), dtype=np.complex128)
     for index in which:
         step = np.zeros(len(at))
         step[index] = 1e-4
-        result[index] = (function(at + step) - function(at - step)) / 2e-4
-    return result
+        change[index] = (transfer(at + step) - transfer(at - step)) / 2e-4
+    count = len(middle)
+    slopes = 2 * np.real(change @ np.conj(middle)) / count
+    return float(np.mean(np.abs(middle) ** 2)), slopes, np.real(change @ np.conj(change.T)) / count
