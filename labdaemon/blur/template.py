@@ -31,10 +31,11 @@ def without_template_noise(sharp: SharpTarget, setting: Setting, solution: Solut
     contrast = np.where(power > 0, solution.light[:, 3], 1.0)
     total = float(np.sum(power))
     gradient = slopes * total / 2 - (power / contrast * through) @ solution.light_part[:, 3]
-    # A noisy picture changes more with its blur than the target does: that part tells nothing.
-    step = np.linalg.solve(
-        np.eye(len(solution.p)) - total * solution.covariance @ bends, solution.covariance @ gradient
-    )
+    step = solution.covariance @ gradient
+    if motion is None:
+        # A noisy picture changes more with its blur than the target does: a part of the slopes that tells nothing. At
+        # rest it is small; through a motion it is not, and more than the first order would be needed.
+        step = np.linalg.solve(np.eye(len(step)) - total * solution.covariance @ bends, step)
     return replace(solution, p=solution.p + step)
 
 
