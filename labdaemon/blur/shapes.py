@@ -79,20 +79,20 @@ def orbit(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[FloatArra
         (...), and (3, ...) by m0, m1, m2.
     """
     squares = np.stack((fx * fx, 2 * fx * fy, fy * fy))
-    z2 = 4 * np.pi**2 * np.tensordot(moment, squares, axes=1)
+    z2 = np.tensordot((4 * np.pi**2 * moment).astype(fx.dtype), squares, axes=1)
     z = np.sqrt(np.abs(z2))
     j0, j1 = special.j0(z), special.j1(z)
-    ratio = np.where(z > 1e-4, j1 / np.maximum(z, 1e-300), 0.5)
+    ratio = np.where(z > 1e-4, j1 / np.maximum(z, 1e-30), 0.5)
     below = z2 < 0
     if np.any(below):
         zb = np.minimum(z[below], 20.0)
         j0[below] = special.i0(zb)
-        ratio[below] = np.where(zb > 1e-4, special.i1(zb) / np.maximum(zb, 1e-300), 0.5)
+        ratio[below] = np.where(zb > 1e-4, special.i1(zb) / np.maximum(zb, 1e-30), 0.5)
     return j0, -2 * np.pi**2 * ratio * squares  # dJ0/d(z²) = −J1(z)/(2z)
 
 
 def straight(fx: FloatArray, fy: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Transfer function J0(2π f·a) of a straight sinusoid over whole cycles, and its derivatives by ax and ay."""
-    z = 2 * np.pi * (a[0] * fx + a[1] * fy)
+    z = float(2 * np.pi * a[0]) * fx + float(2 * np.pi * a[1]) * fy
     slope = -2 * np.pi * special.j1(z)
     return special.j0(z), np.stack((slope * fx, slope * fy))

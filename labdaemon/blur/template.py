@@ -24,7 +24,7 @@ def without_template_noise(sharp: SharpTarget, setting: Setting, solution: Solut
     form = sharp.form
     if not isinstance(form, Texture):
         return solution
-    k = len(setting.by_shape)
+    k = setting.shapes
     passed = _passed(setting, form, motion, k)
     slopes = _slopes(passed, solution.p, [2, *range(3 + k, len(solution.p))])
     # The sharp picture's noise, seen through the same light, is that of the blurred one.
