@@ -203,7 +203,7 @@ def _describe(patch: Patch, dark: FloatArray, mask: BoolArray, others: BoolArray
     return Blob(
         others,
         np.array([scale * cx + last / 2 + left, scale * cy + last / 2 + top]),
-        scale**2 * moment,
+        scale**2 * moment - (scale**2 - 1) / 12 * np.eye(2),
         (scale * x0 + left, scale * y0 + top, scale * x1 + last + left, scale * y1 + last + top),
         scale**2 * total,
         x0 == 0 or y0 == 0 or x1 == width - 1 or y1 == height - 1,

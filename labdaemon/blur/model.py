@@ -159,34 +159,56 @@ def blurred_model(setting: Setting, motion: Motion | None, *, exact: bool = Fals
     grid, planes, target = setting.grid, setting.planes, setting.target
     k = setting.shapes
     _, height, width = planes.values.shape
-    fx, fy = single(grid.fx), single(grid.fy)
-    f2 = fx * fx + fy * fy
+    axes = _axes(grid)
     origin = np.asarray(planes.origin_px)
-    along_x, along_y = -2j * np.pi * grid.fx[:1], -2j * np.pi * grid.fy[:, :1]
-    by_nuisance = np.empty((3, *f2.shape), dtype=np.complex64)
-    by_nuisance[0], by_nuisance[1], by_nuisance[2] = along_x, along_y, -2 * np.pi**2 * f2
 
     def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = p[:2] - origin
-        still = single(np.exp(along_x * x)) * single(np.exp(along_y * y)) * shapes.gaussian(f2, float(p[2]))
-        transfer, slopes = motion(fx, fy, p[3 + k :]) if motion is not None else _at_rest(fx)
+        still = axes.placed(float(x), float(y), float(p[2]))
+        transfer, slopes = motion(axes.fx, axes.fy, p[3 + k :]) if motion is not None else _at_rest(axes.fx)
         moving = still * single(transfer)
         dark = to_lattice(target.spectra * moving, grid, planes.period)[:, :height, :width]
-        factors = np.empty((3 + len(slopes), *f2.shape), dtype=np.complex64)
-        np.multiply(by_nuisance, moving, out=factors[:3])
-        np.multiply(single(slopes), still, out=factors[3:])
+        own = np.empty((3 + k + len(slopes), *still.shape), dtype=np.complex64)
+        np.multiply(target.by_shape, moving, out=own[3 : 3 + k])
         if exact:
-            by_own = to_lattice(factors[:, None] * target.spectra, grid, planes.period)[..., :height, :width]
+            np.multiply(axes.by_nuisance, moving, out=own[:3])
+            np.multiply(single(slopes), still, out=own[3 + k :])
+            each = np.concatenate((own[:3], own[3 + k :]))[:, None] * target.spectra
+            by_own = to_lattice(each, grid, planes.period)[..., :height, :width]
+            by_p = np.concatenate((by_own[:3], on_lattices(own[3 : 3 + k], grid, planes), by_own[3:]))
         else:
-            factors *= target.common
-            by_own = on_lattices(factors, grid, planes)
-        if k == 0:
-            return dark, by_own
-        by_shape = on_lattices(target.by_shape * moving, grid, planes)
-        dark = dark + np.tensordot(single(p[3 : 3 + k]), by_shape, axes=1)
-        return dark, np.concatenate((by_own[:3], by_shape, by_own[3:]))
+            np.multiply(axes.by_nuisance, target.common * moving, out=own[:3])
+            np.multiply(single(slopes), target.common * still, out=own[3 + k :])
+            by_p = on_lattices(own, grid, planes)
+        if np.any(p[3 : 3 + k]):
+            dark = dark + np.tensordot(single(p[3 : 3 + k]), by_p[3 : 3 + k], axes=1)
+        return dark, by_p
 
     return model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axes:
+    """A grid's frequencies in single precision, and what follows from them."""
+
+    fx: FloatArray
+    fy: FloatArray
+    by_nuisance: NDArray[np.complex64]
+
+    def placed(self, x: float, y: float, variance_px2: float) -> NDArray[np.complex64]:
+        """(rows, columns) factors that move a target's centre to a place in the patch and blur it."""
+        along_x, along_y = self.fx[:1].astype(np.float64), self.fy[:, :1].astype(np.float64)
+        fade_x, fade_y = shapes.gaussian(along_x**2, variance_px2), shapes.gaussian(along_y**2, variance_px2)
+        result: NDArray[np.complex64] = single(np.exp(-2j * np.pi * x * along_x) * fade_x) * single(
+            np.exp(-2j * np.pi * y * along_y) * fade_y
+        )
+        return result
+
+
+@lru_cache(maxsize=64)
+def _axes(grid: Grid) -> _Axes:
+    by_nuisance = np.stack((-2j * np.pi * grid.fx, -2j * np.pi * grid.fy, -2 * np.pi**2 * (grid.fx**2 + grid.fy**2)))
+    return _Axes(single(grid.fx), single(grid.fy), single(by_nuisance))
 
 
 def _at_rest(fx: FloatArray) -> tuple[FloatArray, FloatArray]:

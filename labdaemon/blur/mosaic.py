@@ -154,7 +154,8 @@ def to_lattice(spectrum: Any, grid: Grid, period: int) -> FloatArray:
     else:
         base = spectrum
     result: FloatArray = fft.irfft2(base, s=(height, width), axes=(-2, -1))
-    result /= period**2
+    if period > 1:
+        result /= period**2
     return result
 
 

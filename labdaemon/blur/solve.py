@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import lapack
 
 from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.pixels import FloatArray
@@ -27,8 +28,14 @@ few parameters that do not resemble each other. Everything small is in double.
 PLAIN = 1e-3
 """Damping up to which a short step means that the fit is over, and not that it has been held back."""
 
-SHORT = 0.05
-"""Step, px or px², up to which a model is linear enough for its result not to be looked at."""
+SHORT, ROUGH = 0.05, 0.2
+"""Step, px or px², up to which a model is linear enough for its result not to be looked at, or looked at later."""
+
+TOLERANCE = 0.1
+"""Step, in deviations, that is the last."""
+
+SETTLE = 2
+"""Iterations whose models still change the weights."""
 
 SAME = 1e-5
 """Relative difference up to which two costs are the same."""
@@ -105,7 +112,7 @@ class Solution:
     @property
     def chi2(self) -> float:
         """Mean squared normalised residual."""
-        return float(np.sum(self.residual**2) / max(self.dof, 1))
+        return float(np.vdot(self.residual, self.residual)) / max(self.dof, 1)
 
 
 def light_coordinates(planes: Planes) -> tuple[FloatArray, FloatArray]:
@@ -123,15 +130,15 @@ def _from_side_to_side(length: int) -> FloatArray:
 def solve_light(planes: Planes, weight: FloatArray, dark: FloatArray) -> FloatArray:
     """Best light for a fixed darkness: linear least squares in w0, w1, w2 and the common contrast w0·k."""
     u, v = light_coordinates(planes)
-    n = planes.values.shape[0]
-    full = dark.shape
-    columns = (np.ones(full), np.broadcast_to(u, full), np.broadcast_to(v, full), -dark)
-    design = np.stack(columns, axis=1).reshape(n, 4, -1)
-    w = weight.reshape(n, -1)
-    normal = (design * w[:, None]) @ design.transpose(0, 2, 1)
-    normal += _ridge(normal, 1e-9)
-    right = (design * w[:, None]) @ planes.values.reshape(n, -1, 1)
-    solution: FloatArray = np.linalg.solve(normal, right)[..., 0].astype(np.float64)
+    n = len(dark)
+    columns = np.empty((n, 5, *dark.shape[1:]), dtype=dark.dtype)
+    columns[:, 0], columns[:, 1], columns[:, 2] = 1.0, u, v
+    np.negative(dark, out=columns[:, 3])
+    columns[:, 4] = planes.values
+    columns = columns.reshape(n, 5, -1)
+    normal = ((columns[:, :4] * weight.reshape(n, 1, -1)) @ columns.transpose(0, 2, 1)).astype(np.float64)
+    left = normal[:, :, :4]
+    solution: FloatArray = np.linalg.solve(left + ridge(left, 1e-9), normal[:, :, 4:])[..., 0].astype(np.float64)
     solution[:, 3] /= np.where(np.abs(solution[:, 0]) > 1e-12, solution[:, 0], 1.0)
     return solution
 
@@ -145,10 +152,11 @@ def light_level(planes: Planes, light: FloatArray, dtype: Any = np.float64) -> F
     return level
 
 
-def _ridge(normal: FloatArray, part: float) -> FloatArray:
+def ridge(normal: FloatArray, part: float) -> FloatArray:
     """A little on the diagonals, so that a lattice without a valid pixel does no harm."""
-    trace = np.trace(normal, axis1=1, axis2=2)
-    result: FloatArray = np.where(trace > 0, part * trace, 1.0)[:, None, None] * np.eye(normal.shape[-1])
+    trace = np.einsum("nii->n", normal)
+    result = np.zeros(normal.shape)
+    np.einsum("nii->ni", result)[:] = np.where(trace > 0, part * trace, 1.0)[:, None]
     return result
 
 
@@ -175,8 +183,7 @@ def solve(
     *,
     bound: Callable[[FloatArray], FloatArray] = lambda p: p,
     max_iterations: int = 30,
-    tolerance: float = 0.1,
-    settle: int = 2,
+    rough: bool = False,
     light: FloatArray | None = None,
 ) -> Solution:
     """Fit the model to the planes.
@@ -184,7 +191,8 @@ def solve(
     Parameters
     ----------
     weights
-        From modelled values (n, h, w) to inverse variances, 0 where masked.
+        From modelled values (n, h, w) to inverse variances, 0 where masked. Frozen after the second iteration
+        (at once when the light is given), so that the weights' own dependence on the model does not bias it.
     model
         Darkness and derivatives.
     start
@@ -193,23 +201,24 @@ def solve(
         On the parameters.
     bound
         Brings parameters back to where the model is defined.
-    tolerance
-        Stops when the step falls below this part of each standard deviation. That last step is still taken, but the
-        model is not evaluated after it: steps shrink so fast that the next would be a hundredth of it.
-    settle
-        Iterations after which the weights are frozen (none when the light is given), so that their own dependence on
-        the model does not bias it.
+    rough
+        For a start of another fit: stops a short step from the end, with the weights of the beginning.
     light
         (n, 4) light to start from; solved linearly if not given.
+
+    Returns
+    -------
+    Solution
+        The iterations end when the step falls below a tenth of each standard deviation. That last step is still taken,
+        but the model is not evaluated after it: steps shrink so fast that the next would be a hundredth of it.
     """
     p = bound(np.array(start, dtype=np.float64))
     dark, by_p = _look(model, p)
     y = planes.values.astype(by_p.dtype, copy=False)
+    settle = 0 if rough or light is not None else SETTLE
     if light is None:
-        typical = float(np.median(y[planes.valid])) if planes.valid.any() else 1.0
+        typical = float(np.mean(y[planes.valid])) if planes.valid.any() else 1.0
         light = solve_light(planes, weights(np.maximum(y, 0.25 * typical)), dark)
-    else:
-        settle = 0
     signal = render_light(planes, light, dark)
     weight = weights(signal)
     cost = _squares(y - signal, weight) + prior.cost(p)
@@ -220,7 +229,7 @@ def solve(
             trial = bound(p + equations.step(damping))
             short = np.abs(trial - p)
             # Short against the deviation alone may be long where something hardly shows.
-            if np.max(short * equations.scale) < tolerance and np.max(short) < SHORT:
+            if np.max(short) < (ROUGH if rough else SHORT) and (rough or np.max(short * equations.scale) < TOLERANCE):
                 return _carried(planes, y, weight, equations, prior, p, light, dark, by_p, trial - p)
         accepted = False
         for _ in range(8):
@@ -237,7 +246,7 @@ def solve(
         if not accepted:
             converged = True
             break
-        small = bool(np.max(np.abs(step) * equations.scale) < tolerance) or cost - trial_cost < SAME * cost
+        small = bool(np.max(np.abs(step) * equations.scale) < TOLERANCE) or cost - trial_cost < SAME * cost
         p, light, dark, by_p, signal, cost = trial, trial_light, trial_dark, trial_by_p, trial_signal, trial_cost
         damping = max(damping / 10, 1e-9)
         if iteration < settle:
@@ -329,7 +338,7 @@ class _Equations:
 
     def step(self, damping: float) -> FloatArray:
         """Change of the parameters, with the diagonal raised by a factor 1 + damping."""
-        damped, right = self.reduced / np.outer(self.scale, self.scale), self.right / self.scale
+        damped, right = self.reduced / (self.scale[:, None] * self.scale), self.right / self.scale
         damped.flat[:: len(damped) + 1] += damping
         try:
             step = np.linalg.solve(damped, right)
@@ -356,32 +365,38 @@ def _normal_equations(
     prior: Prior,
 ) -> _Equations:
     n, k = len(light), len(p)
-    root = np.sqrt(weight).reshape(n, 1, -1)
-    scaled = derivatives(planes, light, dark, by_p).reshape(n, k + 4, -1)
-    scaled *= root
-    normal = (scaled @ scaled.transpose(0, 2, 1)).astype(np.float64)
-    gradient = (scaled @ (residual.reshape(n, 1, -1) * root).transpose(0, 2, 1)).astype(np.float64)[..., 0]
+    root = np.sqrt(weight)
+    columns = derivatives(planes, light, dark, by_p, residual)
+    columns *= root[:, None]
+    columns = columns.reshape(n, k + 5, -1)
+    products = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
+    normal, gradient = products[:, :-1, :-1], products[:, :-1, -1]
     ll = normal[:, k:, k:]
-    inner = np.linalg.solve(ll + _ridge(ll, 1e-12), np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
+    inner = np.linalg.solve(ll + ridge(ll, 1e-12), np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
     reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ inner[:, :, :k]).sum(axis=0) + prior.precision
     right = (gradient[:, :k] - (normal[:, :k, k:] @ inner[:, :, k:])[..., 0]).sum(axis=0)
     right = right - prior.precision @ (p - prior.mean)
     scale = np.sqrt(np.maximum(np.diag(reduced), 1e-30))
-    return _Equations(reduced, right, inner.astype(np.float64), scale, scaled)
+    return _Equations(reduced, right, inner.astype(np.float64), scale, columns[:, :-1])
 
 
-def derivatives(planes: Planes, light: FloatArray, dark: FloatArray, by_p: FloatArray) -> FloatArray:
-    """(n, k + 4, h, w) derivatives of the values by the parameters and by each lattice's own light."""
+def derivatives(
+    planes: Planes, light: FloatArray, dark: FloatArray, by_p: FloatArray, residual: FloatArray | None = None
+) -> FloatArray:
+    """(n, k + 4, h, w) derivatives of the values by the parameters and each lattice's own light; last the residual."""
     u, v = light_coordinates(planes)
-    k = len(by_p)
-    columns = np.empty((len(light), k + 4, *dark.shape[1:]), dtype=by_p.dtype)
-    level = light_level(planes, light, by_p.dtype)
+    k, dtype = len(by_p), by_p.dtype
+    columns = np.empty((len(light), k + 4 + (residual is not None), *dark.shape[1:]), dtype=dtype)
+    level = light_level(planes, light, dtype)
     shade = _shade(light, dark)
-    np.multiply(by_p.swapaxes(0, 1), (level * (-light[:, 3, None, None]).astype(by_p.dtype))[:, None], out=columns[:, :k])
+    depth = level * (-light[:, 3, None, None]).astype(dtype)
+    np.multiply(by_p.swapaxes(0, 1), depth[:, None], out=columns[:, :k])
     columns[:, k] = shade
-    np.multiply(shade, u.astype(by_p.dtype), out=columns[:, k + 1])
-    np.multiply(shade, v.astype(by_p.dtype), out=columns[:, k + 2])
+    np.multiply(shade, u.astype(dtype), out=columns[:, k + 1])
+    np.multiply(shade, v.astype(dtype), out=columns[:, k + 2])
     np.multiply(-level, dark, out=columns[:, k + 3])
+    if residual is not None:
+        columns[:, -1] = residual
     return columns
 
 
@@ -438,12 +453,13 @@ def _solution(
 
 def _inverse_scaled(matrix: FloatArray) -> FloatArray:
     """Inverse of a non-negative matrix, scaled first; directions that nothing determines stay out."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
-    both = np.outer(scale, scale)
-    try:
-        np.linalg.cholesky(matrix / both)
-        inverse = np.linalg.inv(matrix / both)
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(matrix / both, rcond=1e-14, hermitian=True)
-    result: FloatArray = inverse / both
+    scale = 1 / np.sqrt(np.maximum(matrix.diagonal(), 1e-30))
+    both = scale[:, None] * scale
+    factor, singular = lapack.dpotrf(matrix * both, lower=1, clean=1)
+    if singular:
+        inverse = np.linalg.pinv(matrix * both, rcond=1e-14, hermitian=True)
+    else:
+        root = lapack.dtrtri(factor, lower=1)[0]
+        inverse = root.T @ root
+    result: FloatArray = inverse * both
     return result

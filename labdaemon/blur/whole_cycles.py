@@ -23,8 +23,8 @@ from labdaemon.flags import Flag
 
 LEAST_PX2 = 0.05  # a straight path's a² to start from: at rest the picture does not depend on a
 HELD_PX2 = 1e-4  # the same where a is not fitted at all
-CLEAR_SIGMAS = 10.0  # deviations of a² from which a straight path is one step from the orbit
 QUICK_PX = 1.2  # semi-amplitude from which a smear's own moments are a start good enough for a straight fit
+FAN = np.linspace(-1.0, 1.0, 91)
 
 
 def measure_whole_cycles(
@@ -72,8 +72,8 @@ def measure_whole_cycles(
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
         best, a, b = free, value[2:4], value[4:]
     else:
-        # Where a² is ten of its deviations, a step from the orbit to its straight neighbour leaves 0.03 of one.
-        clear = sharp.noise_known and free.converged and lam[0] > CLEAR_SIGMAS * sd[0]
+        # Where a² is seen at all, a step from the orbit's straight neighbour leaves a hundredth of its deviation.
+        clear = sharp.noise_known and free.converged and lam[0] > REST_SIGMAS * sd[0]
         rest = _is_plain(sharp) and not thin and free.converged and lam[0] < REST_SIGMAS * sd[0]
         best = _fit_straight(sharp, setting, blur, free, scale, converged=thin or clear, held=rest)
         spread = honest_covariance(sharp, best, setting.planes)
@@ -127,16 +127,14 @@ def _quick_orbit(
         keep = [0, 1, 2, *range(3 + k, 3 + k + len(begin) - 3)]
         held = Prior(prior.mean[keep], prior.precision[np.ix_(keep, keep)])
         bound = _bound(0) if motion is shapes.orbit else lambda p: p
-        found = solve(
-            setting.planes, weights, blurred_model(rigid, motion), begin, held, bound=bound, tolerance=0.5, settle=1
-        )
+        found = solve(setting.planes, weights, blurred_model(rigid, motion), begin, held, bound=bound, rough=True)
         return found if found.converged and found.chi2 < POOR_CHI2 else None
 
     def free_shape(at: FloatArray, moment: FloatArray, light: FloatArray) -> Solution:
         return one_step(setting.planes, weights, model, np.concatenate((at[:3], np.zeros(k), moment)), prior, light)
 
     values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
-    if values[1] >= QUICK_PX**2 and values[0] <= 0.1 * values[1] + 4.0:
+    if values[1] - values[0] >= QUICK_PX**2 and values[0] <= 0.1 * values[1] + 4.0:
         path = hold(shapes.straight, np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1])))
         if path is not None and float(np.hypot(*path.p[3:])) >= QUICK_PX:
             a = path.p[3:]
@@ -209,18 +207,26 @@ def _fit_straight(
         precision = prior.precision.copy()
         precision[3 + k :, 3 + k :] = np.eye(2) / HELD_PX2**2
         prior = Prior(np.concatenate((prior.mean[: 3 + k], start[3 + k :])), precision)
-    if (converged or held) and sharp.noise.texture > 0:
-        ax, ay = start[3 + k :]
-        slope = np.zeros((6 + k, 5 + k))
-        slope[: 3 + k, : 3 + k] = np.eye(3 + k)
-        slope[3 + k :, 3 + k :] = [[2 * ax, 0], [ay, ax], [0, 2 * ay]]
-        best = restricted(free, nuisance_prior(sharp, blur, 3), start, step, slope, prior)
+    if held or (converged and sharp.noise.texture > 0):
+        best = restricted(free, nuisance_prior(sharp, blur, 3), start, step, _by_path(start[3 + k :], k), prior)
     else:
         weights, model = pixel_weights(sharp, setting.planes, scale), blurred_model(setting, shapes.straight)
-        best = solve(setting.planes, weights, model, start, prior, light=free.light - free.light_part @ step)
+        light = free.light - free.light_part @ step
+        if converged:
+            best = one_step(setting.planes, weights, model, start, prior, light)
+        else:
+            best = solve(setting.planes, weights, model, start, prior, light=light)
     exact = blurred_model(setting, shapes.straight, exact=True)
     best = weigh_grain(sharp, setting, best, exact, shapes.straight, prior)
     return without_template_noise(sharp, setting, best, shapes.straight)
+
+
+def _by_path(a: FloatArray, k: int) -> FloatArray:
+    """(6 + k, 5 + k) derivatives of an orbit's parameters by those of a straight path."""
+    result = np.zeros((6 + k, 5 + k))
+    result[: 3 + k, : 3 + k] = np.eye(3 + k)
+    result[3 + k :, 3 + k :] = [[2 * a[0], 0.0], [a[1], a[0]], [0.0, 2 * a[1]]]
+    return result
 
 
 def _straight_neighbour(free: Solution, k: int, least_px2: float) -> tuple[FloatArray, FloatArray]:
@@ -229,16 +235,17 @@ def _straight_neighbour(free: Solution, k: int, least_px2: float) -> tuple[Float
     The cost is nearly quadratic in the second moment M, so that the best M = aaᵀ is found without the picture.
     """
     moment = free.p[3 + k :]
-    precision = np.linalg.pinv(free.covariance[3 + k :, 3 + k :], hermitian=True)
+    precision = np.linalg.inv(free.covariance[3 + k :, 3 + k :])
     _, vectors = np.linalg.eigh(moment_matrix(moment))
     middle, width = float(np.arctan2(vectors[1, 1], vectors[0, 1])), np.pi / 2
     for _ in range(2):
-        angle = middle + np.linspace(-width, width, 91)
-        rays = np.stack((np.cos(angle) ** 2, np.cos(angle) * np.sin(angle), np.sin(angle) ** 2), axis=1)
+        angle = middle + width * FAN
+        c, s = np.cos(angle), np.sin(angle)
+        rays = np.stack((c * c, c * s, s * s), axis=1)
         along = rays @ precision
-        square = np.maximum(along @ moment / np.maximum(np.sum(along * rays, axis=1), 1e-300), least_px2)
+        square = np.maximum(along @ moment / np.maximum(np.einsum("ij,ij->i", along, rays), 1e-300), least_px2)
         away = square[:, None] * rays - moment
-        best = int(np.argmin(np.sum((away @ precision) * away, axis=1)))
+        best = int(np.argmin(np.einsum("ij,ij->i", away @ precision, away)))
         middle, width = float(angle[best]), width / 40
     step = free.covariance[:, 3 + k :] @ precision @ away[best]
     a = np.sqrt(square[best]) * np.array([np.cos(middle), np.sin(middle)])
