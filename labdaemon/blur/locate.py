@@ -107,12 +107,12 @@ def _without_light(dark: FloatArray, finite: BoolArray) -> FloatArray:
     design = np.empty((3, *some.shape))
     design[0], design[1], design[2] = 1.0, x[::step], y[::step]
     design, some = design.reshape(3, -1), some.ravel()
-    p, tolerance = np.zeros(3), 0.15
+    p, tolerance, before = np.zeros(3), 0.15, ok
     for _ in range(4):
-        miss = np.abs(some - p @ design)
-        paper = (miss < tolerance) & ok
-        if np.count_nonzero(paper) < 0.05 * some.size:
+        paper = (np.abs(some - p @ design) < tolerance) & ok
+        if np.count_nonzero(paper) < 0.05 * some.size or np.array_equal(paper, before):
             break
+        before = paper
         used = design * paper
         normal = used @ design.T
         p = np.linalg.solve(normal + 1e-12 * normal[0, 0] * np.eye(3), used @ some)
@@ -169,16 +169,8 @@ def find_blob(
     expected = (near_px - np.asarray(patch.origin_px) - (scale - 1) / 2) / scale
     area = area_px2 / scale**2
     sums = np.bincount(labels.ravel(), np.maximum(dark, 0).ravel())[1:]
-    best, best_score = 0, 0.0
-    for number, box in enumerate(ndimage.find_objects(labels), start=1):
-        inside = labels[box] == number
-        ys, xs = np.nonzero(inside)
-        distance = float(np.min(np.hypot(xs + box[1].start - expected[0], ys + box[0].start - expected[1])))
-        likeness = min(sums[number - 1], area) / max(sums[number - 1], area)
-        score = likeness / (1 + (distance / max(0.5 * np.sqrt(area), 3.0 / scale)) ** 2)
-        if score > best_score:
-            best, best_score = number, score
-    if best == 0 or sums[best - 1] < 0.2 * area:
+    best = _likeliest(labels, sums, expected, area, 3.0 / scale) if count > 1 else 1
+    if sums[best - 1] < 0.2 * area:
         return None
     mask = labels == best
     others = np.zeros(patch.shape, dtype=bool)
@@ -186,6 +178,22 @@ def find_blob(
         near = ndimage.binary_dilation((labels > 0) & ~mask, iterations=2 // scale) & ~mask
         others[: near.shape[0] * scale, : near.shape[1] * scale] = near.repeat(scale, axis=0).repeat(scale, axis=1)
     return _describe(patch, dark, mask, others, scale)
+
+
+def _likeliest(
+    labels: NDArray[np.int32], sums: FloatArray, expected: FloatArray, area: float, least_reach: float
+) -> int:
+    """Which of several blobs is near enough and large enough."""
+    best, best_score = 1, 0.0
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        inside = labels[box] == number
+        ys, xs = np.nonzero(inside)
+        distance = float(np.min(np.hypot(xs + box[1].start - expected[0], ys + box[0].start - expected[1])))
+        likeness = min(sums[number - 1], area) / max(sums[number - 1], area)
+        score = likeness / (1 + (distance / max(0.5 * np.sqrt(area), least_reach)) ** 2)
+        if score > best_score:
+            best, best_score = number, score
+    return best
 
 
 def _describe(patch: Patch, dark: FloatArray, mask: BoolArray, others: BoolArray, scale: int) -> Blob:

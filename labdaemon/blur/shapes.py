@@ -81,7 +81,8 @@ def orbit(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[FloatArra
     """
     squares = np.empty((3, *fx.shape), dtype=fx.dtype)
     squares[0], squares[1], squares[2] = fx * fx, 2 * fx * fy, fy * fy
-    z2 = np.tensordot((4 * np.pi**2 * moment).astype(fx.dtype), squares, axes=1)
+    m0, m1, m2 = (float(4 * np.pi**2 * m) for m in moment)
+    z2 = m0 * squares[0] + m1 * squares[1] + m2 * squares[2]
     z = np.sqrt(np.abs(z2))
     j0, j1 = j0_j1(z)
     ratio = np.divide(j1, z, out=np.full_like(z, 0.5), where=z > 1e-4)
@@ -90,7 +91,8 @@ def orbit(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[FloatArra
         zb = np.minimum(z[below], 20.0)
         j0[below] = special.i0(zb)
         ratio[below] = np.where(zb > 1e-4, special.i1(zb) / np.maximum(zb, 1e-30), 0.5)
-    return j0, -2 * np.pi**2 * ratio * squares  # dJ0/d(z²) = −J1(z)/(2z)
+    squares *= -2 * np.pi**2 * ratio  # dJ0/d(z²) = −J1(z)/(2z)
+    return j0, squares
 
 
 def straight(fx: FloatArray, fy: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -371,8 +371,10 @@ def _normal_equations(
     columns = columns.reshape(n, k + 5, -1)
     products = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
     normal, gradient = products[:, :-1, :-1], products[:, :-1, -1]
-    ll = normal[:, k:, k:]
-    inner = np.linalg.solve(ll + ridge(ll, 1e-12), np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2))
+    inner = np.linalg.solve(
+        normal[:, k:, k:] + ridge(normal[:, k:, k:], 1e-12),
+        np.concatenate((normal[:, k:, :k], gradient[:, k:, None]), axis=2),
+    )
     reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ inner[:, :, :k]).sum(axis=0) + prior.precision
     right = (gradient[:, :k] - (normal[:, :k, k:] @ inner[:, :, k:])[..., 0]).sum(axis=0)
     right = right - prior.precision @ (p - prior.mean)
