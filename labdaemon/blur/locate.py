@@ -14,8 +14,8 @@ from scipy import ndimage
 from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
 
 
-SAMPLES = 700
-"""Pixels that are enough to find the plane of light."""
+MANY = 1500
+"""Pixels of which a quarter is enough to find the plane of light."""
 
 LARGE_PX2 = 200.0
 """Area of dots that can be found at half the resolution."""
@@ -58,7 +58,7 @@ def darkness_map(patch: Patch, contrast: dict[int, float] | None = None) -> Floa
         1 − ink/white of each channel where known; else the darkest hundredth counts as ink.
     """
     dark, finite = _against_white(patch, contrast)
-    return _without_light(dark, finite)
+    return _without_light(dark, finite, MANY)
 
 
 def _against_white(patch: Patch, contrast: dict[int, float] | None) -> tuple[FloatArray, BoolArray]:
@@ -97,12 +97,15 @@ def _quantile(values: FloatArray, part: float) -> float:
     return float(np.partition(values, place)[place])
 
 
-def _without_light(dark: FloatArray, finite: BoolArray) -> FloatArray:
-    """The darkness against a plane through what is nearly white; 0 where it is not known."""
+def _without_light(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray:
+    """The darkness against a plane through what is nearly white; 0 where it is not known.
+
+    Of more than `many` pixels every other one of every other row is enough to find the plane.
+    """
     height, width = dark.shape
     x = (np.arange(width) - width / 2) / width
     y = ((np.arange(height) - height / 2) / height)[:, None]
-    step = 1 + int(dark.size > SAMPLES) + int(dark.size > 4 * SAMPLES)
+    step = 2 if dark.size > many else 1
     some, ok = dark[::step, ::step], finite[::step, ::step].ravel()
     design = np.empty((3, *some.shape))
     design[0], design[1], design[2] = 1.0, x[::step], y[::step]
@@ -158,7 +161,7 @@ def find_blob(
     scale = 2 if coarse else 1
     if coarse:
         dark, finite = _quads(dark, finite)
-    dark = _without_light(dark, finite)
+    dark = _without_light(dark, finite, MANY // scale)
     smooth = ndimage.uniform_filter(dark, 5 if min(dark.shape) > 12 and not coarse else 3, mode="nearest")
     if threshold is None:
         noise = 1.48 * _quantile(np.abs(smooth - _quantile(smooth.ravel(), 0.5)).ravel(), 0.5)

@@ -28,8 +28,8 @@ few parameters that do not resemble each other. Everything small is in double.
 PLAIN = 1e-3
 """Damping up to which a short step means that the fit is over, and not that it has been held back."""
 
-SHORT, ROUGH = 0.05, 0.2
-"""Step, px or px², up to which a model is linear enough for its result not to be looked at, or looked at later."""
+SHORT = 0.05
+"""Step, px or px², up to which a model is linear enough for its result not to be looked at."""
 
 TOLERANCE = 0.1
 """Step, in deviations, that is the last."""
@@ -183,7 +183,6 @@ def solve(
     *,
     bound: Callable[[FloatArray], FloatArray] = lambda p: p,
     max_iterations: int = 30,
-    rough: bool = False,
     light: FloatArray | None = None,
 ) -> Solution:
     """Fit the model to the planes.
@@ -201,8 +200,6 @@ def solve(
         On the parameters.
     bound
         Brings parameters back to where the model is defined.
-    rough
-        For a start of another fit: stops a short step from the end, with the weights of the beginning.
     light
         (n, 4) light to start from; solved linearly if not given.
 
@@ -215,10 +212,9 @@ def solve(
     p = bound(np.array(start, dtype=np.float64))
     dark, by_p = _look(model, p)
     y = planes.values.astype(by_p.dtype, copy=False)
-    settle = 0 if rough or light is not None else SETTLE
+    settle = 0 if light is not None else SETTLE
     if light is None:
-        typical = float(np.mean(y[planes.valid])) if planes.valid.any() else 1.0
-        light = solve_light(planes, weights(np.maximum(y, 0.25 * typical)), dark)
+        light = _first_light(planes, weights, y, dark)
     signal = render_light(planes, light, dark)
     weight = weights(signal)
     cost = _squares(y - signal, weight) + prior.cost(p)
@@ -229,7 +225,7 @@ def solve(
             trial = bound(p + equations.step(damping))
             short = np.abs(trial - p)
             # Short against the deviation alone may be long where something hardly shows.
-            if np.max(short) < (ROUGH if rough else SHORT) and (rough or np.max(short * equations.scale) < TOLERANCE):
+            if np.max(short * equations.scale) < TOLERANCE and np.max(short) < SHORT:
                 return _carried(planes, y, weight, equations, prior, p, light, dark, by_p, trial - p)
         accepted = False
         for _ in range(8):
@@ -256,6 +252,55 @@ def solve(
             converged = True
             break
     return _solution(weight, equations, prior, p, light, y - signal, signal, cost, converged)
+
+
+def _first_light(
+    planes: Planes, weights: Callable[[FloatArray], FloatArray], y: FloatArray, dark: FloatArray
+) -> FloatArray:
+    typical = float(np.mean(y[planes.valid])) if planes.valid.any() else 1.0
+    return solve_light(planes, weights(np.maximum(y, 0.25 * typical)), dark)
+
+
+def approach(
+    planes: Planes,
+    weights: Callable[[FloatArray], FloatArray],
+    model: Model,
+    start: FloatArray,
+    prior: Prior,
+    last: FloatArray,
+    *,
+    bound: Callable[[FloatArray], FloatArray] = lambda p: p,
+    max_iterations: int = 6,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Parameters and light near the best, for another fit to begin with; None where they are not soon reached.
+
+    Plain Gauss–Newton steps under the weights of the first model; other parameters as for `solve`.
+
+    Parameters
+    ----------
+    last
+        (k,) step, in the parameters' own units, after which the model need not be looked at again.
+    """
+    p = bound(np.array(start, dtype=np.float64))
+    light, weight = None, None
+    for _ in range(max_iterations):
+        dark, by_p = _look(model, p)
+        y = planes.values.astype(by_p.dtype, copy=False)
+        begun = light is not None
+        if light is None:
+            light = _first_light(planes, weights, y, dark)
+        signal = render_light(planes, light, dark)
+        if weight is None:
+            weight = weights(signal)
+        equations = _normal_equations(planes, y - signal, weight, light, dark, by_p, p, prior)
+        there = bound(p + equations.step(0.0))
+        step = there - p
+        if not np.all(np.isfinite(step)):
+            break
+        p, light = there, light + equations.light_step(step)
+        if begun and np.all(np.abs(step) < last):
+            return p, light
+    return None
 
 
 def one_step(

@@ -15,7 +15,7 @@ from labdaemon.blur.model import Motion, Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
-from labdaemon.blur.solve import SHORT, Prior, Solution, one_step, restricted, solve
+from labdaemon.blur.solve import SHORT, Prior, Solution, approach, one_step, restricted, solve
 from labdaemon.blur.starts import starts_of
 from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights
@@ -24,6 +24,9 @@ from labdaemon.flags import Flag
 LEAST_PX2 = 0.05  # a straight path's a² to start from: at rest the picture does not depend on a
 HELD_PX2 = 1e-4  # the same where a is not fitted at all
 QUICK_PX = 1.2  # semi-amplitude from which a smear's own moments are a start good enough for a straight fit
+# Steps of an approach that may be its last: a moment is nearly linear, a path's end less so.
+LAST_OF_PATH = np.array([0.2, 0.2, 0.2, 0.2, 0.2])
+LAST_OF_ORBIT = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0])
 FAN = np.linspace(-1.0, 1.0, 91)
 
 
@@ -122,31 +125,39 @@ def _quick_orbit(
     weights = pixel_weights(sharp, setting.planes)
     model = blurred_model(setting, shapes.orbit)
     rigid = replace(setting, target=setting.target.rigid)
+    keep = [0, 1, 2, *range(3 + k, 6 + k)]
+    held = Prior(prior.mean[keep], prior.precision[np.ix_(keep, keep)])
 
-    def hold(motion: Motion, begin: FloatArray) -> Solution | None:
-        keep = [0, 1, 2, *range(3 + k, 3 + k + len(begin) - 3)]
-        held = Prior(prior.mean[keep], prior.precision[np.ix_(keep, keep)])
-        bound = _bound(0) if motion is shapes.orbit else lambda p: p
-        found = solve(setting.planes, weights, blurred_model(rigid, motion), begin, held, bound=bound, rough=True)
-        return found if found.converged and found.chi2 < POOR_CHI2 else None
-
-    def free_shape(at: FloatArray, moment: FloatArray, light: FloatArray) -> Solution:
-        return one_step(setting.planes, weights, model, np.concatenate((at[:3], np.zeros(k), moment)), prior, light)
+    def free_shape(at: FloatArray, moment: FloatArray, light: FloatArray) -> Solution | None:
+        begin = np.concatenate((at[:3], np.zeros(k), moment))
+        free = one_step(setting.planes, weights, model, begin, prior, light)
+        kept = free.chi2 < POOR_CHI2 and float(np.max(np.abs(free.p[3 : 3 + k]))) < SHORT
+        return free if kept else None
 
     values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
     if values[1] - values[0] >= QUICK_PX**2 and values[0] <= 0.1 * values[1] + 4.0:
-        path = hold(shapes.straight, np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1])))
-        if path is not None and float(np.hypot(*path.p[3:])) >= QUICK_PX:
-            a = path.p[3:]
-            free = free_shape(path.p, np.array([a[0] ** 2, a[0] * a[1], a[1] ** 2]), path.light)
-            lam, _, _, cov = principal(free.p[3 + k :], free.covariance[3 + k :, 3 + k :])
-            if not orbit or lam[1] <= 2.0 * float(np.sqrt(cov[1, 1])):
-                return free, True
-    curve = hold(shapes.orbit, np.concatenate((start[:3], start[3 + k :])))
-    if curve is None:
-        return None
-    free = free_shape(curve.p, curve.p[3:], curve.light)
-    return (free, False) if float(np.max(np.abs(free.p[3 : 3 + k]))) < SHORT else None
+        begin = np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1]))
+        path = approach(
+            setting.planes,
+            weights,
+            blurred_model(rigid, shapes.straight),
+            begin,
+            Prior(held.mean[:5], held.precision[:5, :5]),
+            LAST_OF_PATH,
+        )
+        if path is not None and float(np.hypot(*path[0][3:])) >= QUICK_PX:
+            ax, ay = path[0][3:]
+            free = free_shape(path[0], np.array([ax**2, ax * ay, ay**2]), path[1])
+            if free is not None:
+                lam, _, _, cov = principal(free.p[3 + k :], free.covariance[3 + k :, 3 + k :])
+                if not orbit or lam[1] <= 2.0 * float(np.sqrt(cov[1, 1])):
+                    return free, True
+    begin = np.concatenate((start[:3], start[3 + k :]))
+    curve = approach(
+        setting.planes, weights, blurred_model(rigid, shapes.orbit), begin, held, LAST_OF_ORBIT, bound=_bound(0)
+    )
+    free = free_shape(curve[0], curve[0][3:], curve[1]) if curve is not None else None
+    return None if free is None else (free, False)
 
 
 def _mask_depends_on_motion(sharp: SharpTarget) -> bool:
