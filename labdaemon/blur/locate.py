@@ -111,14 +111,14 @@ def _without_light(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray
     design[0], design[1], design[2] = 1.0, x[::step], y[::step]
     design, some = design.reshape(3, -1), some.ravel()
     p, tolerance, before = np.zeros(3), 0.15, ok
+    least = 1e-9 * some.size * np.eye(3)
     for _ in range(4):
         paper = (np.abs(some - p @ design) < tolerance) & ok
         if np.count_nonzero(paper) < 0.05 * some.size or np.array_equal(paper, before):
             break
         before = paper
         used = design * paper
-        normal = used @ design.T
-        p = np.linalg.solve(normal + 1e-12 * normal[0, 0] * np.eye(3), used @ some)
+        p = np.linalg.solve(used @ design.T + least, used @ some)
         tolerance = max(2.5 * 1.48 * _quantile(np.abs(some - p @ design)[paper], 0.5), 0.02)
     light = p[0] + p[1] * x + p[2] * y
     result: FloatArray = (dark - light) / np.maximum(1 - light, 0.2)
