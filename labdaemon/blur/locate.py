@@ -6,13 +6,13 @@ Starts and masks for the fits; nothing here enters a result directly.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
-
 
 MANY = 1500
 """Pixels of which a quarter is enough to find the plane of light."""
@@ -110,7 +110,8 @@ def _without_light(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray
     design = np.empty((3, *some.shape))
     design[0], design[1], design[2] = 1.0, x[::step], y[::step]
     design, some = design.reshape(3, -1), some.ravel()
-    p, tolerance, before = np.zeros(3), 0.15, ok
+    p: FloatArray = np.zeros(3)
+    tolerance, before = 0.15, ok
     least = 1e-9 * some.size * np.eye(3)
     for _ in range(4):
         paper = (np.abs(some - p @ design) < tolerance) & ok
@@ -118,7 +119,7 @@ def _without_light(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray
             break
         before = paper
         used = design * paper
-        p = np.linalg.solve(used @ design.T + least, used @ some)
+        p = np.linalg.solve(used @ design.T + least, used @ some).astype(np.float64)
         tolerance = max(2.5 * 1.48 * _quantile(np.abs(some - p @ design)[paper], 0.5), 0.02)
     light = p[0] + p[1] * x + p[2] * y
     result: FloatArray = (dark - light) / np.maximum(1 - light, 0.2)
@@ -130,8 +131,10 @@ def _quads(dark: FloatArray, finite: BoolArray) -> tuple[FloatArray, BoolArray]:
     """Squares of four pixels as one, without an odd last row or column."""
     height, width = dark.shape[0] // 2 * 2, dark.shape[1] // 2 * 2
     corners = [np.s_[y:height:2, x:width:2] for y in (0, 1) for x in (0, 1)]
-    count = sum(finite[corner].astype(np.float64) for corner in corners)
-    total = sum(dark[corner] for corner in corners)
+    count, total = np.zeros((2, height // 2, width // 2))
+    for corner in corners:
+        count += finite[corner]
+        total += dark[corner]
     return total / np.maximum(count, 1.0), count > 0
 
 
@@ -171,7 +174,7 @@ def find_blob(
         return None
     expected = (near_px - np.asarray(patch.origin_px) - (scale - 1) / 2) / scale
     area = area_px2 / scale**2
-    sums = np.bincount(labels.ravel(), np.maximum(dark, 0).ravel())[1:]
+    sums: FloatArray = np.bincount(labels.ravel(), np.maximum(dark, 0).ravel())[1:].astype(np.float64)
     best = _likeliest(labels, sums, expected, area, 3.0 / scale) if count > 1 else 1
     if sums[best - 1] < 0.2 * area:
         return None
@@ -184,7 +187,7 @@ def find_blob(
 
 
 def _likeliest(
-    labels: NDArray[np.int32], sums: FloatArray, expected: FloatArray, area: float, least_reach: float
+    labels: NDArray[np.signedinteger[Any]], sums: FloatArray, expected: FloatArray, area: float, least_reach: float
 ) -> int:
     """Which of several blobs is near enough and large enough."""
     best, best_score = 1, 0.0

@@ -15,7 +15,7 @@ from labdaemon.blur.mosaic import Grid, Planes, make_grid, split, to_lattice
 from labdaemon.blur.pixels import ComplexArray, FloatArray, Patch
 from labdaemon.blur.relief import trusted
 from labdaemon.blur.render import on_lattices, single
-from labdaemon.blur.sharp import Ellipse, Form, SharpTarget
+from labdaemon.blur.sharp import Ellipse, SharpTarget
 from labdaemon.blur.solve import Model
 from labdaemon.blur.texture import Texture
 
@@ -112,19 +112,19 @@ def prepare(
     planes = split(cut)
     height, width = cut.shape
     grid = make_grid((height + 4, width + 4), sharp.form.oversampling)
-    return Setting(planes, grid, _standing(sharp.form, grid, planes), blob.centre_px, blob)
+    return Setting(planes, grid, _standing(sharp, grid, planes), blob.centre_px, blob)
 
 
-def _standing(form: Form, grid: Grid, planes: Planes) -> Standing:
-    return _standing_on(form, grid.size, grid.oversampling, tuple(planes.channel.tolist()), planes.period)
+def _standing(sharp: SharpTarget, grid: Grid, planes: Planes) -> Standing:
+    return _standing_on(sharp, grid.size, grid.oversampling, tuple(planes.channel.tolist()), planes.period)
 
 
 @lru_cache(maxsize=KEPT)
 def _standing_on(
-    form: Form, size: tuple[int, int], oversampling: int, channel: tuple[int, ...], period: int
+    sharp: SharpTarget, size: tuple[int, int], oversampling: int, channel: tuple[int, ...], period: int
 ) -> Standing:
     grid = make_grid(size, oversampling)
-    spectra, by_shape = form.spectra(grid, np.array(channel))
+    spectra, by_shape = sharp.form.spectra(grid, np.array(channel))
     offsets = [(index % period, index // period) for index in range(len(channel))]
     first = [np.exp(2j * np.pi * (ox * grid.fx + oy * grid.fy)) for ox, oy in offsets]
     return Standing(single(spectra * first), single(spectra.mean(axis=0)), single(by_shape.mean(axis=1)))
@@ -145,7 +145,7 @@ def _prepare_texture(sharp: SharpTarget, form: Texture, patch: Patch, expected_p
         return None
     planes = split(masked(cut, ~np.isin(cut.channel, form.channel)))
     grid = make_grid((form.dark.shape[1] + 4, form.dark.shape[2] + 4))
-    return Setting(planes, grid, _standing(form, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
+    return Setting(planes, grid, _standing(sharp, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
 
 
 def blurred_model(setting: Setting, motion: Motion | None, *, exact: bool = False) -> Model:

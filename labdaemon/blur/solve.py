@@ -325,7 +325,9 @@ def _look(model: Model, p: FloatArray) -> tuple[FloatArray, FloatArray]:
     return dark.astype(by_p.dtype, copy=False), by_p
 
 
-def restricted(free: Solution, known: Prior, p: FloatArray, step: FloatArray, slope: FloatArray, prior: Prior) -> Solution:
+def restricted(
+    free: Solution, known: Prior, p: FloatArray, step: FloatArray, slope: FloatArray, prior: Prior
+) -> Solution:
     """The solution under fewer, curved parameters, without another look at the picture.
 
     Parameters

@@ -11,7 +11,7 @@ from labdaemon.blur import shapes
 from labdaemon.blur.axes import moment_axes, moment_matrix, positive, principal
 from labdaemon.blur.gls import weigh_grain
 from labdaemon.blur.honesty import POOR_CHI2, REST_SIGMAS, honest_covariance, reach_flags, sight_flags
-from labdaemon.blur.model import Motion, Setting, blurred_model, prepare
+from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
@@ -69,7 +69,12 @@ def measure_whole_cycles(
     minor = lam[1] + (2 * (free.p[2] - blur.mean_px2) if blur.one_sided_px2 > 0 else 0.0)
     if orbit and lam[0] > REST_SIGMAS * sd[0] and minor > REST_SIGMAS * np.hypot(sd[1], blur.one_sided_px2):
         free = weigh_grain(
-            sharp, setting, free, blurred_model(setting, shapes.orbit, exact=True), shapes.orbit, nuisance_prior(sharp, blur, 3)
+            sharp,
+            setting,
+            free,
+            blurred_model(setting, shapes.orbit, exact=True),
+            shapes.orbit,
+            nuisance_prior(sharp, blur, 3),
         )
         spread = honest_covariance(sharp, free, setting.planes)
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
@@ -207,7 +212,7 @@ def _fit_straight(
     converged: bool,
     held: bool,
 ) -> Solution:
-    """The straight path: next to the orbit where `converged`; with a as the orbit says where `held`, since it does not show.
+    """The straight path: next to the orbit where `converged`; with a as the orbit says where `held`: it does not show.
 
     There, where grain is to be weighed, its own step is the only look at the picture.
     """
