@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,15 +15,16 @@ from labdaemon.blur.mosaic import Grid, Planes, make_grid, split, to_lattice
 from labdaemon.blur.pixels import ComplexArray, FloatArray, Patch
 from labdaemon.blur.relief import trusted
 from labdaemon.blur.render import on_lattices, single
-from labdaemon.blur.sharp import Ellipse, SharpTarget
+from labdaemon.blur.sharp import Ellipse, Form, SharpTarget
 from labdaemon.blur.solve import Model
 from labdaemon.blur.texture import Texture
 
 Motion = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray | ComplexArray, FloatArray | ComplexArray]]
 """From fx, fy and motion parameters to the transfer function and its derivatives (m, rows, columns)."""
 
-KEPT = 256
-"""Spectra of targets at rest that are kept: they stay the same for a campaign, and patches come in few sizes."""
+KEPT, LARGEST = 192, 6000
+"""How many dots' spectra at rest are kept, and of how many frequencies: they stay the same for a campaign, and patches
+come in few sizes. At most 80 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,22 +113,40 @@ def prepare(
     planes = split(cut)
     height, width = cut.shape
     grid = make_grid((height + 4, width + 4), sharp.form.oversampling)
-    return Setting(planes, grid, _standing(sharp, grid, planes), blob.centre_px, blob)
+    return Setting(planes, grid, _standing(sharp.form, grid, planes), blob.centre_px, blob)
 
 
-def _standing(sharp: SharpTarget, grid: Grid, planes: Planes) -> Standing:
-    return _standing_on(sharp, grid.size, grid.oversampling, tuple(planes.channel.tolist()), planes.period)
+def _standing(form: Form, grid: Grid, planes: Planes) -> Standing:
+    channel = tuple(planes.channel.tolist())
+    if isinstance(form, Ellipse) and form.relief is None and grid.fx.size <= LARGEST:
+        return _kept(_Dot.of(form), grid.size, grid.oversampling, channel, planes.period)
+    return _stand(form, grid, channel, planes.period)
 
 
-@lru_cache(maxsize=KEPT)
-def _standing_on(
-    sharp: SharpTarget, size: tuple[int, int], oversampling: int, channel: tuple[int, ...], period: int
-) -> Standing:
-    grid = make_grid(size, oversampling)
-    spectra, by_shape = sharp.form.spectra(grid, np.array(channel))
+def _stand(form: Form, grid: Grid, channel: tuple[int, ...], period: int) -> Standing:
+    spectra, by_shape = form.spectra(grid, np.array(channel))
     offsets = [(index % period, index // period) for index in range(len(channel))]
     first = [np.exp(2j * np.pi * (ox * grid.fx + oy * grid.fy)) for ox, oy in offsets]
     return Standing(single(spectra * first), single(spectra.mean(axis=0)), single(by_shape.mean(axis=1)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Dot:
+    """A dot that is known by its numbers, since every task of a worker brings its own copy of it."""
+
+    numbers: tuple[bytes, ...]
+    form: Ellipse = field(compare=False)
+
+    @classmethod
+    def of(cls, form: Ellipse) -> _Dot:
+        lens = form.lens
+        arrays = (form.q_px, lens.channel, lens.variance_px2, lens.width_px, lens.offset_px)
+        return cls(tuple(array.tobytes() for array in arrays), form)
+
+
+@lru_cache(maxsize=KEPT)
+def _kept(dot: _Dot, size: tuple[int, int], oversampling: int, channel: tuple[int, ...], period: int) -> Standing:
+    return _stand(dot.form, make_grid(size, oversampling), channel, period)
 
 
 def _rough_axes(blob: Blob, sharp: SharpTarget) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +164,7 @@ def _prepare_texture(sharp: SharpTarget, form: Texture, patch: Patch, expected_p
         return None
     planes = split(masked(cut, ~np.isin(cut.channel, form.channel)))
     grid = make_grid((form.dark.shape[1] + 4, form.dark.shape[2] + 4))
-    return Setting(planes, grid, _standing(sharp, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
+    return Setting(planes, grid, _standing(form, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
 
 
 def blurred_model(setting: Setting, motion: Motion | None, *, exact: bool = False) -> Model:

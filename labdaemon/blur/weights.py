@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 
@@ -25,7 +24,6 @@ def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Pr
     return Prior(mean, precision)
 
 
-@lru_cache(maxsize=256)
 def shape_precision(sharp: SharpTarget) -> FloatArray:
     """(k, k) inverse covariance of the target's shape parameters before the frame is seen."""
     covariance = sharp.form.prior_covariance

@@ -1,5 +1,8 @@
 """The modelled picture and its derivatives."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,11 +56,16 @@ def test_shared_derivatives_differ_by_little_and_the_picture_not_at_all(setting)
         assert likeness > 0.99
 
 
-def test_spectra_at_rest_are_kept_for_the_next_frame(area):
+def test_spectra_at_rest_are_kept_for_the_next_frame_and_for_copies_of_the_target(area):
     scene = area.Scene(radius_px=9.4)
     sharp = fit_sharp(Dot(25.0, 25.0, 9.4, 9.4, 0.0, name="t"), [area.render(scene, (50, 50), (25.2, 24.9), seed=1)])
     patch = area.render(scene, (50, 50), (25.2, 24.9), seed=2)
-    first, second = (prepare(sharp, patch, np.array([25.0, 25.0])) for _ in range(2))
+    copy = pickle.loads(pickle.dumps(sharp))
+    first, second = (prepare(one, patch, np.array([25.0, 25.0])) for one in (sharp, copy))
     assert first is not None
     assert second is not None
     assert first.target is second.target
+    larger = replace(sharp, form=replace(sharp.form, q_px=sharp.form.q_px * 1.001))
+    third = prepare(larger, patch, np.array([25.0, 25.0]))
+    assert third is not None
+    assert third.target is not first.target
