@@ -47,7 +47,7 @@ def measure_whole_cycles(
     k = setting.shapes
     starts = starts_of(sharp, setting, blur, k)
     thin = False
-    quick = _quick_orbit(sharp, setting, blur, starts[0], orbit=orbit) if _is_plain(sharp) else None
+    quick = _quick_orbit(sharp, setting, blur, starts[0]) if _is_plain(sharp) else None
     if quick is not None:
         free, thin = quick
     else:
@@ -80,8 +80,9 @@ def measure_whole_cycles(
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
         best, a, b = free, value[2:4], value[4:]
     else:
-        # Where a² is seen at all, a step from the orbit's straight neighbour leaves a hundredth of its deviation.
-        clear = sharp.noise_known and free.converged and lam[0] > REST_SIGMAS * sd[0]
+        # Where a² is seen and b² is not, a step from the orbit's straight neighbour leaves a hundredth of a deviation.
+        narrow = sharp.noise_known and free.converged and abs(lam[1]) < REST_SIGMAS * sd[1]
+        clear = narrow and lam[0] > REST_SIGMAS * sd[0]
         rest = _is_plain(sharp) and not thin and free.converged and lam[0] < REST_SIGMAS * sd[0]
         best = _fit_straight(sharp, setting, blur, free, scale, converged=thin or clear, held=rest)
         spread = honest_covariance(sharp, best, setting.planes)
@@ -119,7 +120,7 @@ def _is_plain(sharp: SharpTarget) -> bool:
 
 
 def _quick_orbit(
-    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, start: FloatArray, *, orbit: bool
+    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, start: FloatArray
 ) -> tuple[Solution, bool] | None:
     """The orbit's fit by way of one with the target's shape held: one step frees the shape. None where that fails.
 
@@ -155,7 +156,7 @@ def _quick_orbit(
             free = free_shape(path[0], np.array([ax**2, ax * ay, ay**2]), path[1])
             if free is not None:
                 lam, _, _, cov = principal(free.p[3 + k :], free.covariance[3 + k :, 3 + k :])
-                if not orbit or lam[1] <= 2.0 * float(np.sqrt(cov[1, 1])):
+                if lam[1] <= 2.0 * float(np.sqrt(cov[1, 1])):
                     return free, True
     begin = np.concatenate((start[:3], start[3 + k :]))
     curve = approach(
