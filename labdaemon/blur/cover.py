@@ -70,7 +70,7 @@ def _lattice(picture: BoolArray, period: int, offset: FloatArray) -> BoolArray:
 def _odd_place(sharp: SharpTarget, setting: Setting, found: Measurement) -> BoolArray | None:
     """The one connected place where residuals are far from noise; None if there is none, or too much of it."""
     planes = setting.planes
-    k = len(setting.by_shape)
+    k = setting.shapes
     at = np.concatenate((found.centre_px, [found.extra_blur_px2], np.zeros(k)))
     if not np.all(np.isfinite(at)):
         return None

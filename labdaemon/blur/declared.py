@@ -19,7 +19,7 @@ from labdaemon.flags import Flag
 
 def measure_declared(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, law: DisplacementLaw) -> Measurement:
     """Fit the vector that multiplies a declared course; both of its signs are tried."""
-    k = len(setting.by_shape)
+    k = setting.shapes
 
     def motion(fx: FloatArray, fy: FloatArray, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         return nodes_transfer(fx, fy, vector, law.displacement[None], law.weight)

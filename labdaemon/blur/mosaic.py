@@ -8,6 +8,7 @@ lattice, so that one small inverse FFT a lattice gives the model exactly at that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,12 @@ class Grid:
 def make_grid(shape: tuple[int, int], oversampling: int = 1) -> Grid:
     """Frequencies for patches of at least `shape` (height, width) pixels."""
     height, width = (4 * int(fft.next_fast_len(-(-length // 4), real=True)) for length in shape)
+    return _grid((height, width), oversampling)
+
+
+@lru_cache(maxsize=64)
+def _grid(size: tuple[int, int], oversampling: int) -> Grid:
+    height, width = size
     rows, columns = oversampling * height, oversampling * width
     fy = np.fft.fftfreq(rows) * oversampling
     fx = np.fft.rfftfreq(columns) * oversampling
@@ -147,7 +154,8 @@ def to_lattice(spectrum: Any, grid: Grid, period: int) -> FloatArray:
     else:
         base = spectrum
     result: FloatArray = fft.irfft2(base, s=(height, width), axes=(-2, -1))
-    result /= period**2
+    if period > 1:
+        result /= period**2
     return result
 
 

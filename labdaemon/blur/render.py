@@ -33,3 +33,14 @@ def darkness(spectra: Any, grid: Grid, planes: Planes) -> FloatArray:
     """(..., n, h, w) darkness from (..., n, rows, columns) spectra of either precision."""
     _, height, width = planes.values.shape
     return to_lattice(spectra, grid, planes.period)[..., :height, :width]
+
+
+def on_lattices(spectra: Any, grid: Grid, planes: Planes) -> FloatArray:
+    """(k, n, h, w) values on every lattice of pictures that are the same for all: (k, rows, columns) spectra."""
+    n, height, width = planes.values.shape
+    pictures = to_lattice(spectra, grid, 1)
+    result = np.empty((len(pictures), n, height, width), dtype=pictures.dtype)
+    step = planes.period
+    for index, (ox, oy) in enumerate(planes.offset_px.astype(int)):
+        result[:, index] = pictures[:, oy : oy + step * height : step, ox : ox + step * width : step]
+    return result

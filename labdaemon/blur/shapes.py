@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
+from labdaemon.blur.bessel import j0_j1
 from labdaemon.blur.pixels import FloatArray
 
 
@@ -78,24 +79,31 @@ def orbit(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[FloatArra
     transfer, derivatives
         (...), and (3, ...) by m0, m1, m2.
     """
-    squares = np.stack((fx * fx, 2 * fx * fy, fy * fy))
-    z2 = 4 * np.pi**2 * np.tensordot(moment, squares, axes=1)
+    squares = np.empty((3, *fx.shape), dtype=fx.dtype)
+    squares[0], squares[1], squares[2] = fx * fx, 2 * fx * fy, fy * fy
+    m0, m1, m2 = (float(4 * np.pi**2 * m) for m in moment)
+    z2 = m0 * squares[0] + m1 * squares[1] + m2 * squares[2]
     z = np.sqrt(np.abs(z2))
-    j0, j1 = special.j0(z), special.j1(z)
-    ratio = np.where(z > 1e-4, j1 / np.maximum(z, 1e-300), 0.5)
+    j0, j1 = j0_j1(z)
+    ratio = np.divide(j1, z, out=np.full_like(z, 0.5), where=z > 1e-4)
     below = z2 < 0
     if np.any(below):
         zb = np.minimum(z[below], 20.0)
         j0[below] = special.i0(zb)
-        ratio[below] = np.where(zb > 1e-4, special.i1(zb) / np.maximum(zb, 1e-300), 0.5)
-    return j0, -2 * np.pi**2 * ratio * squares  # dJ0/d(z²) = −J1(z)/(2z)
+        ratio[below] = np.where(zb > 1e-4, special.i1(zb) / np.maximum(zb, 1e-30), 0.5)
+    squares *= -2 * np.pi**2 * ratio  # dJ0/d(z²) = −J1(z)/(2z)
+    return j0, squares
 
 
 def straight(fx: FloatArray, fy: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Transfer function J0(2π f·a) of a straight sinusoid over whole cycles, and its derivatives by ax and ay."""
-    z = 2 * np.pi * (a[0] * fx + a[1] * fy)
-    slope = -2 * np.pi * special.j1(z)
-    return special.j0(z), np.stack((slope * fx, slope * fy))
+    z = float(2 * np.pi * a[0]) * fx + float(2 * np.pi * a[1]) * fy
+    j0, j1 = j0_j1(np.abs(z))
+    slope = -2 * np.pi * j1 * np.sign(z)
+    derivatives = np.empty((2, *z.shape), dtype=z.dtype)
+    np.multiply(slope, fx, out=derivatives[0])
+    np.multiply(slope, fy, out=derivatives[1])
+    return j0, derivatives
 
 
 def smear(fx: FloatArray, fy: FloatArray, variance_px2: float, moment: FloatArray) -> FloatArray:

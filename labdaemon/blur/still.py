@@ -51,7 +51,7 @@ def measure_still(sharp: SharpTarget, patch: Patch, *, start: Start | None = Non
     setting = prepare(sharp, patch, expected)
     if setting is None:
         return lost
-    k = len(setting.by_shape)
+    k = setting.shapes
     first = np.concatenate((setting.start_px, [0.0], np.zeros(k)))
 
     def bound(p: FloatArray) -> FloatArray:

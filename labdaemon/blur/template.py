@@ -23,7 +23,7 @@ def without_template_noise(sharp: SharpTarget, setting: Setting, solution: Solut
     form = sharp.form
     if not isinstance(form, Texture):
         return solution
-    k = len(setting.by_shape)
+    k = setting.shapes
     through, slopes, bends = _passed(setting, form, motion, solution.p, [2, *range(3 + k, len(solution.p))], k)
     # Both pictures' noise is in the residuals, the sharp one's as far as the blur lets it through. What a noise model
     # says would count the sensor's own pattern, too, which is the same in both.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
-from labdaemon.blur.solve import Prior, Solution, one_step, solve
+from labdaemon.blur.solve import SHORT, Prior, Solution, approach, one_step, restricted, solve
 from labdaemon.blur.starts import starts_of
 from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights
@@ -22,8 +23,11 @@ from labdaemon.flags import Flag
 
 LEAST_PX2 = 0.05  # a straight path's a² to start from: at rest the picture does not depend on a
 HELD_PX2 = 1e-4  # the same where a is not fitted at all
-CLEAR_SIGMAS = 10.0  # deviations of a² from which a straight path is one step from the orbit
 QUICK_PX = 1.2  # semi-amplitude from which a smear's own moments are a start good enough for a straight fit
+# Steps of an approach that may be its last: a moment is nearly linear, a path's end less so.
+LAST_OF_PATH = np.array([0.2, 0.2, 0.2, 0.2, 0.2])
+LAST_OF_ORBIT = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0])
+FAN = np.linspace(-1.0, 1.0, 91)
 
 
 def measure_whole_cycles(
@@ -40,10 +44,14 @@ def measure_whole_cycles(
     flags
         Flags to start with.
     """
-    k = len(setting.by_shape)
+    k = setting.shapes
     starts = starts_of(sharp, setting, blur, k)
-    quick = _quick_orbit(sharp, setting, blur, starts[0], orbit=orbit) if _is_plain(sharp) else None
-    free = quick if quick is not None else _fit_orbit(sharp, setting, blur, starts)
+    thin = False
+    quick = _quick_orbit(sharp, setting, blur, starts[0]) if _is_plain(sharp) else None
+    if quick is not None:
+        free, thin = quick
+    else:
+        free = _fit_orbit(sharp, setting, blur, starts)
     for _ in range(2):
         if not _mask_depends_on_motion(sharp):
             break
@@ -61,16 +69,22 @@ def measure_whole_cycles(
     minor = lam[1] + (2 * (free.p[2] - blur.mean_px2) if blur.one_sided_px2 > 0 else 0.0)
     if orbit and lam[0] > REST_SIGMAS * sd[0] and minor > REST_SIGMAS * np.hypot(sd[1], blur.one_sided_px2):
         free = weigh_grain(
-            sharp, setting, free, blurred_model(setting, shapes.orbit), free.p[3 + k :], nuisance_prior(sharp, blur, 3)
+            sharp,
+            setting,
+            free,
+            blurred_model(setting, shapes.orbit, exact=True),
+            free.p[3 + k :],
+            nuisance_prior(sharp, blur, 3),
         )
         spread = honest_covariance(sharp, free, setting.planes)
         value, covariance = moment_axes(_picked(free, k), spread[np.ix_(_pick(k), _pick(k))])
         best, a, b = free, value[2:4], value[4:]
     else:
-        # Where a² is ten of its deviations, a step from the orbit to its straight neighbour leaves 0.03 of one.
-        clear = sharp.noise_known and free.converged and lam[0] > CLEAR_SIGMAS * sd[0]
-        rest = _is_plain(sharp) and quick is None and free.converged and lam[0] < REST_SIGMAS * sd[0]
-        best = _fit_straight(sharp, setting, blur, free, scale, converged=quick is not None or clear, held=rest)
+        # Where a² is seen and b² is not, a step from the orbit's straight neighbour leaves a hundredth of a deviation.
+        narrow = sharp.noise_known and free.converged and abs(lam[1]) < REST_SIGMAS * sd[1]
+        clear = narrow and lam[0] > REST_SIGMAS * sd[0]
+        rest = _is_plain(sharp) and not thin and free.converged and lam[0] < REST_SIGMAS * sd[0]
+        best = _fit_straight(sharp, setting, blur, free, scale, converged=thin or clear, held=rest)
         spread = honest_covariance(sharp, best, setting.planes)
         a, b, covariance = _straight_axes(best.p, spread, k, float(sd[1]))
     found_flags = reach_flags(sharp, best, a, b)
@@ -106,32 +120,50 @@ def _is_plain(sharp: SharpTarget) -> bool:
 
 
 def _quick_orbit(
-    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, start: FloatArray, *, orbit: bool
-) -> Solution | None:
-    """The orbit's fit by way of the straight one, where a smear is long enough and turns out to be straight; else None.
+    sharp: SharpTarget, setting: Setting, blur: ExtraBlur, start: FloatArray
+) -> tuple[Solution, bool] | None:
+    """The orbit's fit by way of one with the target's shape held: one step frees the shape. None where that fails.
 
-    The straight path is fitted with the target's shape held, then one step frees the shape and the minor axis.
+    The second value tells that the path is long and straight, and was fitted as such.
     """
-    k = len(setting.by_shape)
-    values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
-    if values[1] < QUICK_PX**2 or values[0] > 0.1 * values[1] + 4.0:
-        return None
+    k = setting.shapes
     prior = nuisance_prior(sharp, blur, 3)
-    keep = [0, 1, 2, 3 + k, 4 + k]
-    held = Prior(prior.mean[keep], prior.precision[np.ix_(keep, keep)])
-    shapeless = replace(setting, by_shape=setting.by_shape[:0])
     weights = pixel_weights(sharp, setting.planes)
-    path = np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1]))
-    found = solve(setting.planes, weights, blurred_model(shapeless, shapes.straight), path, held, tolerance=0.1)
-    a = found.p[3:]
-    if not found.converged or found.chi2 > POOR_CHI2 or float(np.hypot(*a)) < QUICK_PX:
-        return None
-    at = np.concatenate((found.p[:3], np.zeros(k), [a[0] ** 2, a[0] * a[1], a[1] ** 2]))
-    free = one_step(setting.planes, weights, blurred_model(setting, shapes.orbit), at, prior, found.light)
-    lam, _, _, cov = principal(free.p[3 + k :], free.covariance[3 + k :, 3 + k :])
-    if orbit and lam[1] > 2.0 * float(np.sqrt(cov[1, 1])):
-        return None
-    return free
+    model = blurred_model(setting, shapes.orbit)
+    rigid = replace(setting, target=setting.target.rigid)
+    keep = [0, 1, 2, *range(3 + k, 6 + k)]
+    held = Prior(prior.mean[keep], prior.precision[np.ix_(keep, keep)])
+
+    def free_shape(at: FloatArray, moment: FloatArray, light: FloatArray) -> Solution | None:
+        begin = np.concatenate((at[:3], np.zeros(k), moment))
+        free = one_step(setting.planes, weights, model, begin, prior, light)
+        kept = free.chi2 < POOR_CHI2 and float(np.max(np.abs(free.p[3 : 3 + k]))) < SHORT
+        return free if kept else None
+
+    values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
+    if values[1] - values[0] >= QUICK_PX**2 and values[0] <= 0.1 * values[1] + 4.0:
+        begin = np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1]))
+        path = approach(
+            setting.planes,
+            weights,
+            blurred_model(rigid, shapes.straight),
+            begin,
+            Prior(held.mean[:5], held.precision[:5, :5]),
+            LAST_OF_PATH,
+        )
+        if path is not None and float(np.hypot(*path[0][3:])) >= QUICK_PX:
+            ax, ay = path[0][3:]
+            free = free_shape(path[0], np.array([ax**2, ax * ay, ay**2]), path[1])
+            if free is not None:
+                lam, _, _, cov = principal(free.p[3 + k :], free.covariance[3 + k :, 3 + k :])
+                if lam[1] <= 2.0 * float(np.sqrt(cov[1, 1])):
+                    return free, True
+    begin = np.concatenate((start[:3], start[3 + k :]))
+    curve = approach(
+        setting.planes, weights, blurred_model(rigid, shapes.orbit), begin, held, LAST_OF_ORBIT, bound=_bound(0)
+    )
+    free = free_shape(curve[0], curve[0][3:], curve[1]) if curve is not None else None
+    return None if free is None else (free, False)
 
 
 def _mask_depends_on_motion(sharp: SharpTarget) -> bool:
@@ -139,10 +171,8 @@ def _mask_depends_on_motion(sharp: SharpTarget) -> bool:
     return isinstance(form, Ellipse) and form.relief is not None and form.relief.bounded
 
 
-def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: list[FloatArray]) -> Solution:
-    k = len(setting.by_shape)
-    model = blurred_model(setting, shapes.orbit)
-    prior = nuisance_prior(sharp, blur, 3)
+def _bound(k: int) -> Callable[[FloatArray], FloatArray]:
+    """Keeps an orbit's parameters where its model is defined."""
 
     def bound(p: FloatArray) -> FloatArray:
         p = p.copy()
@@ -153,6 +183,13 @@ def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: li
         p[2] = np.clip(p[2], -1.0, 50.0)
         return p
 
+    return bound
+
+
+def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: list[FloatArray]) -> Solution:
+    model = blurred_model(setting, shapes.orbit)
+    prior = nuisance_prior(sharp, blur, 3)
+    bound = _bound(setting.shapes)
     best: Solution | None = None
     for start in starts:
         found = solve(setting.planes, pixel_weights(sharp, setting.planes), model, start, prior, bound=bound)
@@ -176,44 +213,58 @@ def _fit_straight(
     converged: bool,
     held: bool,
 ) -> Solution:
-    """The straight path: one step where `converged`; with a as the orbit says where `held`, since it does not show."""
-    k = len(setting.by_shape)
-    model, prior = blurred_model(setting, shapes.straight), nuisance_prior(sharp, blur, 2)
-    start, light = _straight_neighbour(free, k, HELD_PX2 if held else LEAST_PX2)
+    """The straight path: next to the orbit where `converged`; with a as the orbit says where `held`: it does not show.
+
+    There, where grain is to be weighed, its own step is the only look at the picture.
+    """
+    k = setting.shapes
+    prior = nuisance_prior(sharp, blur, 2)
+    start, step = _straight_neighbour(free, k, HELD_PX2 if held else LEAST_PX2)
     if held:
         precision = prior.precision.copy()
         precision[3 + k :, 3 + k :] = np.eye(2) / HELD_PX2**2
         prior = Prior(np.concatenate((prior.mean[: 3 + k], start[3 + k :])), precision)
-    weights = pixel_weights(sharp, setting.planes, scale)
-    if converged or held:
-        best = one_step(setting.planes, weights, model, start, prior, light)
+    if held or converged:
+        best = restricted(free, nuisance_prior(sharp, blur, 3), start, step, _by_path(start[3 + k :], k), prior)
     else:
+        weights, model = pixel_weights(sharp, setting.planes, scale), blurred_model(setting, shapes.straight)
+        light = free.light - free.light_part @ step
         best = solve(setting.planes, weights, model, start, prior, light=light)
+    exact = blurred_model(setting, shapes.straight, exact=True)
     ax, ay = best.p[3 + k :]
-    best = weigh_grain(sharp, setting, best, model, np.array([ax**2, ax * ay, ay**2]), prior)
+    best = weigh_grain(sharp, setting, best, exact, np.array([ax**2, ax * ay, ay**2]), prior)
     return without_template_noise(sharp, setting, best, shapes.straight)
 
 
+def _by_path(a: FloatArray, k: int) -> FloatArray:
+    """(6 + k, 5 + k) derivatives of an orbit's parameters by those of a straight path."""
+    result = np.zeros((6 + k, 5 + k))
+    result[: 3 + k, : 3 + k] = np.eye(3 + k)
+    result[3 + k :, 3 + k :] = [[2 * a[0], 0.0], [a[1], a[0]], [0.0, 2 * a[1]]]
+    return result
+
+
 def _straight_neighbour(free: Solution, k: int, least_px2: float) -> tuple[FloatArray, FloatArray]:
-    """Straight path (x, y, extra variance, shape…, ax, ay) and its light that an orbit's fit makes most likely.
+    """Straight path (x, y, extra variance, shape…, ax, ay) that an orbit's fit makes most likely, and the step to it.
 
     The cost is nearly quadratic in the second moment M, so that the best M = aaᵀ is found without the picture.
     """
-    moment, cov = free.p[3 + k :], free.covariance[3 + k :, 3 + k :]
-    precision = np.linalg.pinv(cov, hermitian=True)
+    moment = free.p[3 + k :]
+    precision = np.linalg.inv(free.covariance[3 + k :, 3 + k :])
     _, vectors = np.linalg.eigh(moment_matrix(moment))
     middle, width = float(np.arctan2(vectors[1, 1], vectors[0, 1])), np.pi / 2
-    for _ in range(3):
-        angle = middle + np.linspace(-width, width, 91)
-        rays = np.stack((np.cos(angle) ** 2, np.cos(angle) * np.sin(angle), np.sin(angle) ** 2), axis=1)
+    for _ in range(2):
+        angle = middle + width * FAN
+        c, s = np.cos(angle), np.sin(angle)
+        rays = np.stack((c * c, c * s, s * s), axis=1)
         along = rays @ precision
-        square = np.maximum(along @ moment / np.maximum(np.sum(along * rays, axis=1), 1e-300), least_px2)
+        square = np.maximum(along @ moment / np.maximum(np.einsum("ij,ij->i", along, rays), 1e-300), least_px2)
         away = square[:, None] * rays - moment
-        best = int(np.argmin(np.sum((away @ precision) * away, axis=1)))
+        best = int(np.argmin(np.einsum("ij,ij->i", away @ precision, away)))
         middle, width = float(angle[best]), width / 40
     step = free.covariance[:, 3 + k :] @ precision @ away[best]
     a = np.sqrt(square[best]) * np.array([np.cos(middle), np.sin(middle)])
-    return np.concatenate(((free.p + step)[: 3 + k], a)), free.light - free.light_part @ step
+    return np.concatenate(((free.p + step)[: 3 + k], a)), step
 
 
 def _pick(k: int) -> list[int]:

@@ -25,7 +25,7 @@ def solve_windowed(
     sharp: SharpTarget, settings: list[Setting], windows: Sequence[Window], blurs: list[ExtraBlur], spread: FloatArray
 ) -> tuple[Solution, Solution | None]:
     """Best solution from starts all round the phase circle, and the best one that differs from it in phase."""
-    k = len(settings[0].by_shape)
+    k = settings[0].shapes
     count = len(settings)
     planes = stack([s.planes for s in settings])
     model = _group_model(settings, planes, windows, 3.0 + 1.3 * float(np.sqrt(max(np.max(np.abs(spread)), 0.1))))
