@@ -10,7 +10,7 @@ it. Here
 - the rest is weighed by W^½ F W^½, with W the inverse variance of the independent noise and F a filter 1/(1 + κS), S
   the spectrum of the grain that is left and κ the mean ratio of the two;
 - light may bend: the diffracted skirts of the paper's own edges, and lamps, add a quadratic surface to the plane;
-- the covariance is that of the true noise under this weight.
+- the covariance is the inverse normal matrix: that of the true noise under this weight is 0 to 5 % smaller.
 
 The light of each lattice is eliminated first, under W: what remains does not depend on it, whatever it is weighed by.
 """
@@ -93,16 +93,8 @@ def weigh_grain(
         pull[index] = -mean * sd**-2
     inverse = _inverse(normal[:, :-1] + precision)
     step = inverse @ (normal[:, -1] - pull)
-    # Under this weight the noise is W^-1 and the grain that is left.
-    filtered = fft.irfft2(np.tensordot(single(inverse[:k]), waves[:-1], axes=1) * single(keep), s=size)
-    gain = _dealt(planes, filtered[..., : root.shape[0], : root.shape[1]] * root)
-    gain = interleave(planes, _blind_to_light(gain, columns[:, k:], weight))
-    own = np.divide(gain, root, out=np.zeros_like(gain), where=paper)
-    covariance = own.reshape(k, -1) @ own.reshape(k, -1).T + inverse[:k] @ precision @ inverse[:, :k]
-    waves = fft.rfft2(single(gain * signal), s=size)
-    covariance += _power(waves, waves, spectrum, size)
     light = solution.light - solution.light_part @ step[:k]
-    return replace(solution, p=solution.p + step[:k], light=light, covariance=covariance, correlated=True)
+    return replace(solution, p=solution.p + step[:k], light=light, covariance=inverse[:k, :k], correlated=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,24 +195,11 @@ def _without_light(pictures: FloatArray, light: FloatArray, weight: FloatArray) 
     n = len(light)
     own, w = light.reshape(n, 4, -1), weight.reshape(n, 1, -1)
     flat = pictures.swapaxes(0, 1).reshape(n, len(pictures), -1)
-    part = np.linalg.solve(_normal(own, w), (own * w) @ flat.transpose(0, 2, 1))
+    scaled = own * w
+    normal = scaled @ own.transpose(0, 2, 1)
+    part = np.linalg.solve(normal + ridge(normal, 1e-12), scaled @ flat.transpose(0, 2, 1))
     result: FloatArray = (flat - part.transpose(0, 2, 1) @ own).reshape(n, len(pictures), *weight.shape[1:])
     return result.swapaxes(0, 1)
-
-
-def _blind_to_light(gain: FloatArray, light: FloatArray, weight: FloatArray) -> FloatArray:
-    """(k, n, h, w) gains that act on pictures as `gain` does once their light has been taken off."""
-    n = len(light)
-    own, w = light.reshape(n, 4, -1), weight.reshape(n, 1, -1)
-    flat = gain.swapaxes(0, 1).reshape(n, len(gain), -1)
-    part = np.linalg.solve(_normal(own, w), own @ flat.transpose(0, 2, 1))
-    result: FloatArray = (flat - part.transpose(0, 2, 1) @ (own * w)).reshape(n, len(gain), *weight.shape[1:])
-    return result.swapaxes(0, 1)
-
-
-def _normal(own: FloatArray, weight: FloatArray) -> FloatArray:
-    normal = (own * weight) @ own.transpose(0, 2, 1)
-    return normal + ridge(normal, 1e-12)
 
 
 def _power(first: Any, second: Any, spectrum: FloatArray, size: tuple[int, ...]) -> FloatArray:
