@@ -76,7 +76,8 @@ class Exposures:
         for index, blur in enumerate(self.blurs):
             precision[FRAME * index + 2, FRAME * index + 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
             mean[FRAME * index + 2] = blur.mean_px2
-        precision[FRAME * count : FRAME * count + k, FRAME * count : FRAME * count + k] = shape_precision(self.sharp)
+        if k:
+            precision[FRAME * count : FRAME * count + k, FRAME * count : FRAME * count + k] = shape_precision(self.sharp)
         return Prior(mean, precision)
 
     def begin(self, a: FloatArray, b: FloatArray, motion: FloatArray) -> FloatArray:
