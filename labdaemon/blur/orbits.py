@@ -41,14 +41,17 @@ class MinorAxis:
         """Deviation of β²."""
         return float(np.sqrt(max(self.covariance[1, 1], 0.0)))
 
-    def mean_square(self) -> float:
-        """Mean of β² over what both tell: how far a motion may be from straight, px²."""
-        reach = 6.0 * np.sqrt(self.sd_square_px2) + np.sqrt(max(self.square_px2, 0.0))
-        beta = np.linspace(-reach, reach, 401)
+    def mean_square(self, amplitude_px: float) -> float:
+        """Mean of β² over what both tell, px²: how far a motion that is taken for straight may be from it.
+
+        Straight paths and orbits of any β up to the amplitude are held for equally likely beforehand.
+        """
+        beta = np.linspace(-1.0, 1.0, 801) * max(amplitude_px, 1e-6)
         away = np.stack((beta - self.size_px, beta**2 - self.square_px2))
         square = np.sum(away * (np.linalg.pinv(self.covariance, hermitian=True) @ away), axis=0)
         chance = np.exp(-(square - square.min()) / 2)
-        return float(chance @ beta**2 / chance.sum())
+        orbit, straight = float(chance.mean()), float(chance[len(beta) // 2])
+        return float(chance @ beta**2 / chance.sum()) * orbit / (orbit + straight)
 
 
 def minor_axis(exposures: Exposures, profile: PhaseProfile) -> MinorAxis:

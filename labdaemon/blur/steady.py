@@ -87,8 +87,8 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     value, covariance, sd = _standing(exposures, profile)
     n, c, s = across(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
-    covariance = covariance + minor.mean_square() * np.outer(quarter_later, quarter_later)
     size = float(np.hypot(*profile.vector))
+    covariance = covariance + minor.mean_square(size) * np.outer(quarter_later, quarter_later)
     return Steady(value, covariance, size, sd, profile.best, profile, False, _two_valleys(profile), one_sided)
 
 
