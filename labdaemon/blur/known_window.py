@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from labdaemon.blur.axes import phased_axes
+from labdaemon.blur.axes import phased_axes, positive
 from labdaemon.blur.honesty import reach_flags
 from labdaemon.blur.model import Setting
 from labdaemon.blur.motion import ExtraBlur, Measurement, Window
+from labdaemon.blur.orbits import across
+from labdaemon.blur.phase_chances import Standing
+from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.steady import Steady, fit_steady
 from labdaemon.blur.windowed import Exposures
@@ -26,11 +29,23 @@ def measure_known_window(
 
 def measurement_of(sharp: SharpTarget, blur: ExtraBlur, found: Steady) -> Measurement:
     """Axes of what was found through one window."""
-    centre, a, b, cov = phased_axes(found.value, found.covariance)
-    best = found.solution
-    if not found.is_orbit:
-        b = np.zeros(2)
+    best, standing = found.solution, found.standing
+    if standing is None:
+        centre, a, b, cov = phased_axes(found.value, found.covariance)
+    else:
+        centre, a, b, cov = _straight_axes(standing, found.beside_px2)
     flags = reach_flags(sharp, best, a, b)
     if found.at_rest:
         flags.add(Flag.AT_REST)
     return Measurement(sharp.name, centre, a, b, cov, False, frozenset(flags), float(best.p[2]), best.chi2)
+
+
+def _straight_axes(standing: Standing, beside_px2: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Centre, a, b and covariance of a straight motion."""
+    a = positive(standing.axis[2:])
+    side = 1.0 if np.array_equal(a, standing.axis[2:]) else -1.0
+    turn = np.diag([1.0, 1.0, side, side])
+    covariance = np.zeros((6, 6))
+    covariance[:4, :4] = turn @ standing.axis_covariance @ turn
+    covariance[4:, 4:] = beside_px2 * np.outer(across(a), across(a))
+    return standing.axis[:2], a, np.zeros(2), covariance

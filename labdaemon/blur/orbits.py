@@ -88,12 +88,13 @@ def solve_orbit(
     starts = [exposures.begin(a, b, np.concatenate((a, b))) for a, b in pairs]
     costs = [_rough_cost(exposures, model(start)[0]) for start in starts]
     promising = [starts[index] for index in np.argsort(costs)[:SHORT_LIST]]
-    solutions = [solve(exposures.planes, exposures.weights, model, start, prior, max_iterations=25) for start in promising]
+    planes, weights = exposures.planes, exposures.weights
+    solutions = [solve(planes, weights, model, start, prior, max_iterations=25) for start in promising]
     if len(senses) > 1:
         best = min(solutions, key=lambda x: x.cost)
         a, b = _other_way_round(best.p[-4:-2], best.p[-2:])
         start = exposures.begin(a, b, np.concatenate((a, b)))
-        solutions.append(solve(exposures.planes, exposures.weights, model, start, prior, max_iterations=25))
+        solutions.append(solve(planes, weights, model, start, prior, max_iterations=25))
     solutions.sort(key=lambda x: x.cost)
     best = solutions[0]
     information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)

@@ -48,8 +48,8 @@ class PhaseProfile:
     Attributes
     ----------
     phase_rad
-        (n,) phases ψ of v·sin(ωt + ψ), evenly spaced: over the circle for several frames; for a single frame over
-        the half of it in which the motion's phase at the middle of the exposure is −π/2 … π/2, ends included.
+        (n,) phases ψ of v·sin(ωt + ψ): evenly over the circle for several frames; for a single frame over the half of
+        it in which the motion's phase at the middle of the exposure is −π/2 … π/2, ends included, and at the best.
     cost
         (n,) least sum of squares at each.
     vector_px, place_px
@@ -126,9 +126,18 @@ def profile_phase(exposures: Exposures, spread: FloatArray) -> PhaseProfile:
             found[index] = _at(held, float(phases[index]), reach, start, near.light, weight)
             last = index
     solutions = [found[index] for index in range(len(phases))]
+    best = _bottom(exposures, phases, solutions, reach, periodic=periodic)
+    if not periodic:
+        # Long smears have valleys that are narrow between the phases tried.
+        phase = float(best.p[-1])
+        place = int(np.searchsorted(phases, phase))
+        if np.min(np.abs(phases - phase)) > 1e-3:
+            near = solutions[min(place, len(solutions) - 1)]
+            start = np.concatenate((best.p[:FRAME], best.p[-3:-1]))
+            solutions.insert(place, _at(held, phase, reach, start, near.light, weight))
+            phases = np.insert(phases, place, phase)
     cost = np.array([one.cost for one in solutions])
     vectors = np.array([one.p[-2:] for one in solutions])
-    best = _bottom(exposures, phases, solutions, reach, periodic=periodic)
     frames = len(exposures.settings)
     places = np.array([one.p[: FRAME * frames].reshape(frames, FRAME)[:, :2].mean(axis=0) for one in solutions])
     return PhaseProfile(phases, cost, vectors, places, best, periodic)
@@ -170,6 +179,13 @@ def _bottom(
     minima = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
     minima = minima[np.argsort(cost[minima])][:FOLLOWED]
     model, prior = exposures.model(phase_motion, reach_px), exposures.prior(3)
+
+    def bound(p: FloatArray) -> FloatArray:
+        p = p.copy()
+        if not periodic:
+            p[-1] = np.clip(p[-1], phases[0], phases[-1])
+        return p
+
     best: Solution | None = None
     for index in minima:
         if cost[index] > cost[minima[0]] + WORTH:
@@ -179,7 +195,7 @@ def _bottom(
         start = np.concatenate(
             (near.p[:nuisance], np.zeros(exposures.shape_count), near.p[-2:], phases[index : index + 1])
         )
-        found = solve(exposures.planes, exposures.weights, model, start, prior, light=near.light)
+        found = solve(exposures.planes, exposures.weights, model, start, prior, bound=bound, light=near.light)
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
@@ -193,7 +209,9 @@ def _first_vector(held: Exposures, spread: FloatArray, phase_rad: float) -> Floa
         result: FloatArray = np.sqrt(max(values[1], LEAST_PX2)) * vectors[:, 1]
         return result
     tried = [
-        size * np.array([np.cos(angle), np.sin(angle)]) for size in (0.7, 2.5, 6.0) for angle in np.arange(4) * np.pi / 4
+        size * np.array([np.cos(angle), np.sin(angle)])
+        for size in (0.7, 2.5, 6.0)
+        for angle in np.arange(4) * np.pi / 4
     ]
     model = held.model(standing_motion(phase_rad), 12.0)
     weight = held.weights(np.maximum(held.planes.values, 0))

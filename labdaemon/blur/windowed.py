@@ -70,14 +70,14 @@ class Exposures:
 
     def prior(self, motion_count: int) -> Prior:
         """Defocus from the controls, shape from the sharp frame; nothing is known of places and motion."""
-        count, k = len(self.settings), self.shape_count
+        k, shape = self.shape_count, slice(self.first_motion - self.shape_count, self.first_motion)
         size = self.first_motion + motion_count
         precision, mean = np.zeros((size, size)), np.zeros(size)
         for index, blur in enumerate(self.blurs):
             precision[FRAME * index + 2, FRAME * index + 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
             mean[FRAME * index + 2] = blur.mean_px2
         if k:
-            precision[FRAME * count : FRAME * count + k, FRAME * count : FRAME * count + k] = shape_precision(self.sharp)
+            precision[shape, shape] = shape_precision(self.sharp)
         return Prior(mean, precision)
 
     def begin(self, a: FloatArray, b: FloatArray, motion: FloatArray) -> FloatArray:
