@@ -68,7 +68,7 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     orbit
         False forces straight motion.
     """
-    spread = _spread(exposures)
+    spread = smear_spread(exposures)
     profile = profile_phase(exposures, spread)
     minor = minor_axis(exposures, profile)
     one_sided = max(blur.one_sided_px2 for blur in exposures.blurs)
@@ -103,7 +103,7 @@ def _size(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     return size, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
 
 
-def _spread(exposures: Exposures) -> FloatArray:
+def smear_spread(exposures: Exposures) -> FloatArray:
     """(2, 2) aaᵀ + bbᵀ as the smears' moments have it."""
     moments = [s.blob.moment_px2 for s in exposures.settings if s.blob is not None]
     if not moments:
