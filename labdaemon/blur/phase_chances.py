@@ -92,8 +92,11 @@ def chances(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
         phases = np.linspace(at[0], at[-1], FINE + 1)[:-1]
         values = CubicSpline(at, table, bc_type="periodic")(phases)
     else:
+        # Over the sine of the phase at the middle of the exposure, which is all that the picture depends on.
         phases = np.linspace(at[0], at[-1], FINE)
-        values = PchipInterpolator(at, table)(phases)
+        middle = (at[0] + at[-1]) / 2
+        sines = np.sin(at - middle)
+        values = PchipInterpolator(sines, table)(np.clip(np.sin(phases - middle), sines[0], sines[-1]))
     chance = np.exp(-(values[:, 0] - values[:, 0].min()) / (2 * max(profile.best.chi2, 1.0)))
     return phases, chance / chance.sum(), np.column_stack((values[:, 1:], phases))
 

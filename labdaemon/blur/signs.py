@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.special import logsumexp
 
 from labdaemon.blur.axes import positive
 from labdaemon.blur.defocus import default_blur
@@ -29,16 +28,17 @@ from labdaemon.blur.steady import smear_spread
 from labdaemon.blur.windowed import Exposures
 from labdaemon.errors import UsageError
 
-NEARLY_RAD = np.radians(5.0)
-"""How far from the common phase the targets of a nearly standing motion may be (standard deviation)."""
-OTHER_PHASE = 12.0
-"""Cost from which a target is not at the common phase."""
-MOST = 0.6
-"""Part of the targets that could contradict a common phase, and must not, for there to be one."""
-SURE = 14.0
+NEARLY_RAD = np.radians((1.0, 2.0, 4.0))
+"""How far from the common phase the targets of a nearly standing motion may be (standard deviation): the frame tells."""
+ASTRAY = 0.1
+"""Part of the targets that may be at any phase."""
+MOST = 0.75
+"""Part of the targets with a phase of their own that must be at the common one for there to be one."""
+SURE = 2 * np.log(100.0)
 """Twice the logarithm of the odds from which a sign is stated."""
 
-_GRID = np.radians(np.arange(-90.0, 91.0))
+_MIDDLE = 180
+_GRID = np.radians(np.linspace(-90.0, 90.0, 2 * _MIDDLE + 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class Clue:
     vector_px
         (2,) v of the standing motion v·sin μ that fits best, its largest component positive.
     cost
-        (181,) what μ = −90° … 90° at the middle of the exposure costs, less the least.
+        (361,) what μ = −90° … 90° at the middle of the exposure costs, less the least.
     is_orbit
         Whether its minor axis shows.
     """
@@ -72,7 +72,7 @@ class RelativeSigns:
     sign
         (n,) 1 or −1 to the v whose largest component is positive; 0 where unknown.
     evidence
-        (n,) twice the logarithm of the odds of sign 1 against −1; 0 where the common phase does not explain the target.
+        (n,) twice the logarithm of the odds of sign 1 against −1; 0 where the target is not at the common phase.
     middle_phase_rad, sd_middle_phase_rad
         Common phase μ at the middle of the exposure, 0 … π/2, π − μ looking alike; NaN where no phase is common.
     phase_rad
@@ -122,6 +122,11 @@ def relative_signs(
     return from_clues(clues, window)
 
 
+def stated(evidence: float) -> int:
+    """The sign that some evidence stands for: 1, −1, or 0 where it does not suffice."""
+    return int(np.sign(evidence)) if abs(evidence) > SURE else 0
+
+
 def clue_of(
     sharp: SharpTarget, patch: Patch, window: Window, extra_blur: ExtraBlur | None = None, start: Start | None = None
 ) -> Clue | None:
@@ -139,8 +144,8 @@ def clue_of(
         return None
     minor = minor_axis(exposures, profile)
     curved = minor.square_px2 > REST_SIGMAS * np.hypot(minor.sd_square_px2, exposures.blurs[0].one_sided_px2)
-    at = profile.phase_rad + middle_phase(exposures)
-    cost = PchipInterpolator(at, profile.cost)(np.clip(_GRID, at[0], at[-1])) / scale
+    at = np.sin(profile.phase_rad + middle_phase(exposures))
+    cost = PchipInterpolator(at, profile.cost)(np.clip(np.sin(_GRID), at[0], at[-1])) / scale
     vector = positive(profile.vector)
     if not np.array_equal(vector, profile.vector):
         cost = cost[::-1]
@@ -150,29 +155,34 @@ def clue_of(
 def from_clues(clues: Sequence[Clue | None], window: Window) -> RelativeSigns:
     """Find the phase that the targets share, and each one's sign at it."""
     count = len(clues)
-    vectors, signs, evidence = np.full((count, 2), np.nan), np.zeros(count), np.zeros(count)
-    straight = {i: _nearly(clue.cost) for i, clue in enumerate(clues) if clue is not None and not clue.is_orbit}
-    for i, clue in enumerate(clues):
-        if clue is not None:
-            vectors[i] = clue.vector_px
-    # Either sign of each, for μ = 0 … 90°.
-    either = {i: np.minimum(cost[90:], cost[90::-1]) for i, cost in straight.items()}
-    if not either:
-        return RelativeSigns(vectors, signs, evidence, np.nan, np.nan)
-    total = np.sum([np.minimum(cost, OTHER_PHASE) for cost in either.values()], axis=0)
-    common = int(np.argmin(total))
-    could = [cost[common] < OTHER_PHASE for cost in either.values() if cost.max() > OTHER_PHASE]
-    if could and np.mean(could) < MOST:
-        return RelativeSigns(vectors, signs, evidence, np.nan, np.nan)
-    chance = np.exp(-(total - total.min()) / 2)
+    vectors = np.array([np.full(2, np.nan) if clue is None else clue.vector_px for clue in clues]).reshape(count, 2)
+    evidence = np.zeros(count)
+    nothing = RelativeSigns(vectors, np.zeros(count), evidence, float("nan"), float("nan"))
+    used = [i for i, clue in enumerate(clues) if clue is not None and not clue.is_orbit]
+    if not used:
+        return nothing
+    likelihood = np.array([np.exp(-clue.cost / 2) for i in used if (clue := clues[i]) is not None])
+    likelihood *= (len(_GRID) / likelihood.sum(axis=1))[:, None]  # 1 everywhere where nothing shows
+    # (spreads, targets, μ = 0 … 90°) for either sign; then the chance of each spread and μ.
+    near = np.stack([likelihood @ _spreading(float(sd)) for sd in NEARLY_RAD])
+    plus, minus = near[:, :, _MIDDLE:], near[:, :, _MIDDLE::-1]
+    at_phase = (1 - ASTRAY) * (plus + minus) / 2
+    chance = np.sum(np.log(at_phase + ASTRAY), axis=1)
+    chance = np.exp(chance - chance.max())
     chance /= chance.sum()
-    middle = float(chance @ _GRID[90:])
-    sd = float(np.sqrt(chance @ (_GRID[90:] - middle) ** 2))
-    for i, cost in straight.items():
-        if either[i][common] < OTHER_PHASE:
-            evidence[i] = 2 * (logsumexp(-cost[90:] / 2, b=chance) - logsumexp(-cost[90::-1] / 2, b=chance))
-            signs[i] = np.sign(evidence[i]) if abs(evidence[i]) > SURE else 0.0
-            vectors[i] *= -1.0 if signs[i] < 0 else 1.0
+    belongs = np.einsum("sm,stm->t", chance, at_phase / (at_phase + ASTRAY))
+    # Those whose own phase shows could have contradicted.
+    could = np.min(plus[0] + minus[0], axis=1) < ASTRAY
+    if np.any(could) and np.mean(belongs[could]) < MOST:
+        return nothing
+    odds = np.log(np.einsum("sm,stm->t", chance, plus / (at_phase + ASTRAY)) + 1e-300)
+    odds -= np.log(np.einsum("sm,stm->t", chance, minus / (at_phase + ASTRAY)) + 1e-300)
+    evidence[used] = np.where(belongs > 0.5, 2 * odds, 0.0)
+    signs = np.array([float(stated(one)) for one in evidence])
+    vectors[signs < 0] *= -1
+    by_phase = chance.sum(axis=0)
+    middle = float(by_phase @ _GRID[_MIDDLE:])
+    sd = float(np.sqrt(by_phase @ (_GRID[_MIDDLE:] - middle) ** 2))
     phases: tuple[float, ...] = ()
     if window.phase_rad is not None:
         zero = window.phase_rad + np.pi * window.cycles
@@ -180,10 +190,9 @@ def from_clues(clues: Sequence[Clue | None], window: Window) -> RelativeSigns:
     return RelativeSigns(vectors, signs, evidence, middle, sd, phases)
 
 
-def _nearly(cost: FloatArray) -> FloatArray:
-    """(181,) cost when the target's own phase may differ a little from the common one."""
-    # sin μ, and with it the picture, is the same on both sides of ±90°.
-    around = np.concatenate((cost[90:0:-1], cost, cost[-2:-92:-1]))
-    step = np.arange(len(cost))[:, None] + 90 - np.arange(len(around))[None, :]
-    result: FloatArray = np.min(around + (np.radians(step) / NEARLY_RAD) ** 2, axis=1)
-    return result
+def _spreading(sd_rad: float) -> FloatArray:
+    """(361, 361) that spreads a likelihood over phases nearby; what falls beyond ±90° comes back, sin μ being the same."""
+    result = np.zeros((len(_GRID), len(_GRID)))
+    for image in (_GRID, np.pi - _GRID, -np.pi - _GRID):
+        result += np.exp(-(((_GRID[:, None] - image[None, :]) / sd_rad) ** 2) / 2)
+    return result / result.sum(axis=1, keepdims=True)

@@ -190,11 +190,12 @@ def _bottom(
     for index in minima:
         if cost[index] > cost[minima[0]] + WORTH:
             break
-        near = solutions[index]
+        near, phase = solutions[index], float(phases[index])
+        if not periodic and index in (0, len(phases) - 1):
+            # The picture depends on sin μ, of which the slope is nothing there: nothing would move.
+            phase += 0.4 * float(phases[abs(index - 1)] - phases[index])
         nuisance = FRAME * len(exposures.settings)
-        start = np.concatenate(
-            (near.p[:nuisance], np.zeros(exposures.shape_count), near.p[-2:], phases[index : index + 1])
-        )
+        start = np.concatenate((near.p[:nuisance], np.zeros(exposures.shape_count), near.p[-2:], [phase]))
         found = solve(exposures.planes, exposures.weights, model, start, prior, bound=bound, light=near.light)
         if best is None or found.cost < best.cost:
             best = found
