@@ -29,7 +29,7 @@ from labdaemon.blur.windowed import Exposures
 from labdaemon.errors import UsageError
 
 NEARLY_RAD = np.radians((1.0, 2.0, 4.0))
-"""How far from the common phase the targets of a nearly standing motion may be (standard deviation): the frame tells."""
+"""How far from the common phase the targets of a nearly standing motion may be: standard deviations to choose from."""
 ASTRAY = 0.1
 """Part of the targets that may be at any phase."""
 MOST = 0.75
@@ -191,8 +191,9 @@ def from_clues(clues: Sequence[Clue | None], window: Window) -> RelativeSigns:
 
 
 def _spreading(sd_rad: float) -> FloatArray:
-    """(361, 361) that spreads a likelihood over phases nearby; what falls beyond ±90° comes back, sin μ being the same."""
+    """(361, 361) that spreads likelihoods over phases nearby; beyond ±90° they come back, sin μ being the same."""
     result = np.zeros((len(_GRID), len(_GRID)))
     for image in (_GRID, np.pi - _GRID, -np.pi - _GRID):
         result += np.exp(-(((_GRID[:, None] - image[None, :]) / sd_rad) ** 2) / 2)
-    return result / result.sum(axis=1, keepdims=True)
+    result /= result.sum(axis=1, keepdims=True)
+    return result

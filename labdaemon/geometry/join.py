@@ -113,9 +113,8 @@ def join(
     # Residuals larger than stated mean noise larger than stated: it may have decided the match.
     scale = max(1.0, best.square / best.freedom) if best.freedom > 0 else 1.0
     ratio = float(np.sqrt(others[0].square / max(best.square, 1e-12))) if others else None
-    rival = next(
-        (other for other in others if _worse(best, other, scale) < CLEARLY_WORSE and _distinct(best, other)), None
-    )
+    close = [other for other in others if _worse(best, other, scale) < CLEARLY_WORSE]
+    rival = next((other for other in close if _distinct(best, other)), None)
     joined = _object_motion(best, ratio, phased=False)
     # Two cameras fix five of an orbit's six numbers. Where its plane is nearly edge-on to one of them the two roots
     # merge, and linear theory no longer says how far apart they may be: only roots that agree are believed.

@@ -118,11 +118,10 @@ def join_frames(
             evidence[measurement.target][frame.camera] = frame.evidence_of(index)
             rows.append(measurement_row(name, frame.camera, measurement, stated(frame.evidence_of(index))))
     views = _views(sharp, frames)
-    joined = (
-        _on_plane(sharp, frames[0], by_target)
-        if sharp.plane is not None
-        else _in_space(sharp, views, by_target, evidence)
-    )
+    if sharp.plane is not None:
+        joined = _on_plane(sharp, frames[0], by_target)
+    else:
+        joined = _in_space(sharp, views, by_target, evidence)
     envelope = []
     for target, sure in zip(sharp.targets, sharp.sure, strict=True):
         motion = joined.get(target)
