@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdaemon.blur.honesty import honest_covariance
-from labdaemon.blur.law import nodes_transfer, standing_transfer
+from labdaemon.blur.law import nodes_transfer, standing_transfer, window_nodes
 from labdaemon.blur.model import Motion
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.solve import Solution, one_step, render_light, solve, solve_light
-from labdaemon.blur.standing import PhaseProfile
+from labdaemon.blur.standing import LEAST_VARIANCE, PhaseProfile
 from labdaemon.blur.windowed import Exposures, orbit_motion
 
-SHORT_LIST = 3  # starts that are followed to their end
+SHORT_LIST = 4  # starts that are followed to their end
+LEAST_PX2 = 0.02  # of the smear's moments when a and b are guessed
 DIFFERENT = 16.0  # squared distance, in the best solution's own deviations, from which another is not the same one
 
 
@@ -81,7 +82,7 @@ def solve_orbit(
         The standing motion that fits best, and the minor axis that it lacks.
     """
     senses = (1.0, -1.0) if len(exposures.windows) > 1 else (1.0,)
-    pairs = [pair for turn in senses for pair in _round_the_circle(spread, turn)]
+    pairs = [pair for turn in senses for pair in _round_the_circle(exposures, spread, turn)]
     pairs += [_turned(profile, turn * minor_px) for turn in senses]
     size = max(float(np.hypot(np.hypot(*a), np.hypot(*b))) for a, b in pairs)
     model, prior = exposures.model(orbit_motion, 3.0 + 1.3 * size), exposures.prior(4)
@@ -103,13 +104,31 @@ def solve_orbit(
     return best, others[0] if others else None
 
 
-def _round_the_circle(spread: FloatArray, turn: float) -> list[tuple[FloatArray, FloatArray]]:
-    """Vectors a and b with the smear's second moment, at eight phases."""
-    values, vectors = np.linalg.eigh(spread)
-    major = np.sqrt(max(values[1], 0.05)) * vectors[:, 1]
-    minor = turn * 0.7 * np.sqrt(max(values[0], 0.02)) * vectors[:, 0]
-    cosine_sine = [(np.cos(psi), np.sin(psi)) for psi in np.arange(8) * np.pi / 4]
-    return [(major * c - minor * s, major * s + minor * c) for c, s in cosine_sine]
+def _round_the_circle(exposures: Exposures, spread: FloatArray, turn: float) -> list[tuple[FloatArray, FloatArray]]:
+    """Vectors a and b, L = (a b), at eight phases, of which the picture has the smear's second moment.
+
+    With K the covariance of (sin ωt, cos ωt) over the window that moment is L K Lᵀ, so that L = S^½ R K^−½ with any
+    rotation R, or any reflection for the other sense of turning.
+    """
+    moment = np.zeros((2, 2))
+    for window in exposures.windows:
+        basis, weight = window_nodes(window, 3.0)
+        away = basis - (basis @ weight)[:, None]
+        moment += (weight * away) @ away.T / len(exposures.windows)
+    inverse, root = _power(moment, -0.5, LEAST_VARIANCE), _power(spread / 2, 0.5, LEAST_PX2)
+    pairs = []
+    for psi in np.arange(8) * np.pi / 4:
+        c, s = np.cos(psi), np.sin(psi)
+        vectors = root @ np.array([[c, s], [-turn * s, turn * c]]) @ inverse
+        pairs.append((vectors[:, 0], vectors[:, 1]))
+    return pairs
+
+
+def _power(matrix: FloatArray, exponent: float, least: float) -> FloatArray:
+    """A symmetric matrix to some power, its eigenvalues not less than `least`."""
+    values, vectors = np.linalg.eigh(matrix)
+    result: FloatArray = (vectors * np.maximum(values, least) ** exponent) @ vectors.T
+    return result
 
 
 def _turned(profile: PhaseProfile, minor_px: float) -> tuple[FloatArray, FloatArray]:
