@@ -8,6 +8,7 @@ import numpy as np
 
 from labdaemon.blur.defocus import default_blur
 from labdaemon.blur.honesty import reach_flags
+from labdaemon.blur.known_window import unphased
 from labdaemon.blur.measure import WHOLE, measure
 from labdaemon.blur.model import Setting, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
@@ -124,4 +125,7 @@ def _report(exposures: Exposures, found: Steady) -> Measurement:
     elif found.rival:
         flags.add(Flag.AMBIGUOUS)
     blur = float(np.mean(best.p[2 : FRAME * len(exposures.settings) : FRAME]))
-    return Measurement(sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2)
+    axes = unphased(sharp, found) if found.standing is not None and found.standing.is_loose else None
+    return Measurement(
+        sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
+    )

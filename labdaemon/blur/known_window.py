@@ -24,11 +24,12 @@ def measure_known_window(
 
     The phase of a single frame has a mirror image that fits as well, so it is not reported; see `measure_group`.
     """
-    return measurement_of(sharp, blur, fit_steady(Exposures.of(sharp, [setting], [window], [blur]), orbit=orbit))
+    found = fit_steady(Exposures.of(sharp, [setting], [window], [blur]), orbit=orbit)
+    return unphased(sharp, found)
 
 
-def measurement_of(sharp: SharpTarget, blur: ExtraBlur, found: Steady) -> Measurement:
-    """Axes of what was found through one window."""
+def unphased(sharp: SharpTarget, found: Steady) -> Measurement:
+    """What was found, by its axes, without its phase."""
     best, standing = found.solution, found.standing
     if standing is None:
         centre, a, b, cov = phased_axes(found.value, found.covariance)

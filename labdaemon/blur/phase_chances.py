@@ -30,12 +30,15 @@ class Standing:
         (4,) and (4, 4) x, y, vx, vy, whatever the phase.
     value, covariance
         (6,) and (6, 6) x, y, ax, ay, bx, by: the same in terms of the phase.
+    is_loose
+        Whether the phase hardly shows.
     """
 
     axis: FloatArray
     axis_covariance: FloatArray
     value: FloatArray
     covariance: FloatArray
+    is_loose: bool = False
 
 
 def summed_up(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> Standing:
@@ -62,7 +65,7 @@ def summed_up(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> S
     total = _scatter(chance, _vectors_of(others) - value)
     for weight, phase in zip(chance, phases, strict=True):
         total += weight * _by_axis(float(phase)) @ at_phase @ _by_axis(float(phase)).T
-    return Standing(axis, at_phase + _scatter(chance, others[:, :4] - axis), value, total)
+    return Standing(axis, at_phase + _scatter(chance, others[:, :4] - axis), value, total, True)
 
 
 def _scatter(chance: FloatArray, away: FloatArray) -> FloatArray:

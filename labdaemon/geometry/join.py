@@ -12,6 +12,7 @@ from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.continuity import Witness, choose
 from labdaemon.geometry.intersect import Candidate
+from labdaemon.geometry.loose_phase import sign_evidence, with_phase
 from labdaemon.geometry.match import orbit_candidates, phased_candidate, straight_candidates
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.orbit import largest_sign, principal_axes
@@ -101,12 +102,19 @@ def join(
     known = None if evidence is None else [evidence[i] for i in seen]
     if len(views) < 2:
         raise DataError("seen by one camera only: its depth is unknown")
-    if all(motion.phased for motion in motions):
+    phased = all(motion.phased for motion in motions)
+    loose = phased and any(motion.axes is not None for motion in motions)
+    if phased and not loose:
         best = phased_candidate(views, exterior, motions)
         signed = _object_motion(best, None, phased=True)
         if chi2.sf(best.square, best.freedom) < SIGNS_DISAGREE:
             return Joined(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
         return Joined(signed, settled_by="phase")
+    if loose:
+        axes = [_axes(motion) for motion in motions]
+        apart = join(views, axes, covariance=exterior, evidence=sign_evidence(motions, axes))
+        signed = with_phase(views, motions, apart.motion)
+        return replace(apart, motion=signed, alternative=None)
     motions = [_axes(motion) for motion in motions]
     candidates, straight = _candidates(views, exterior, motions, known)
     best, others = candidates[0], candidates[1:]
@@ -298,6 +306,8 @@ def _axes(motion: ImageMotion) -> ImageMotion:
     """Picture by its principal axes (cameras with phase joined to ones without lose it)."""
     if not motion.phased:
         return motion
+    if motion.axes is not None:
+        return motion.axes
     a, b, covariance = principal_axes(motion.a_px, motion.b_px, motion.covariance_px2)
     return ImageMotion(motion.mean_px, a, b, covariance)
 

@@ -197,7 +197,12 @@ def _sign(
 
 def _image_motion(measurement: Measurement) -> ImageMotion:
     return ImageMotion(
-        measurement.centre_px, measurement.a_px, measurement.b_px, measurement.covariance_px2, measurement.phased
+        measurement.centre_px,
+        measurement.a_px,
+        measurement.b_px,
+        measurement.covariance_px2,
+        measurement.phased,
+        None if measurement.axes is None else _image_motion(measurement.axes),
     )
 
 
