@@ -105,9 +105,13 @@ def chances(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def two_valleys(profile: PhaseProfile) -> bool:
-    """Whether two phases with a height between them cost the same; a profile that is low all round has but one."""
+    """Whether two phases with a height between them cost the same; a profile that is low all round has but one.
+
+    A single frame's phase has its mirror image in time, which is another unless both are within its deviation.
+    """
     if not profile.periodic:
-        return False
+        middle = (profile.phase_rad[0] + profile.phase_rad[-1]) / 2
+        return bool(np.pi - 2 * abs(profile.phase - middle) > 3 * min(profile.sd_phase, BROAD_RAD))
     scale = max(profile.best.chi2, 1.0)
     cost = (profile.cost - profile.cost.min()) / scale
     cost = np.roll(cost, -int(np.argmin(cost)))

@@ -7,15 +7,15 @@ v·sin(μ + τ), |τ| ≤ Θ/2. A picture keeps no order of time, so τ and −�
 
 of which the last two are the first two written with the other sign. What a picture can tell is therefore the
 displacement at the middle of the exposure, m = v·sin μ, *with* its sign, and the change there, w = v·cos μ, but for its
-sign. An orbit is m cos τ + w sin τ likewise, known up to w → −w. Over Θ = 2π(N + r) the part that is odd in v, and
-shows the sign, is
+sign. An orbit is m cos τ + w sin τ likewise, known up to w → −w. The part that is odd in v, and shows the sign, is
 
-    −(4i/Θ) Σ J_k(2π f·v) sin(kμ) sin(πkr)/k,   k = 1, 3, 5 …,
+    −(4i/Θ) Σ J_k(2π f·v) sin(kμ) sin(kΘ/2)/k,   k = 1, 3, 5 …,
 
-whose k = 1 mostly shifts the picture and is lost to the free mean position; what is left at small amplitude is the
-skew, −(3 e₁ + e₃)/4·|v|³ with e_k = 2 sin(kμ) sin(πkr)/(kΘ): of one sign with sin μ for every window, so that no
-two values of sin μ look alike, and none at all for whole cycles (r = 0) or where the middle of the exposure meets
-the motion in its mean position (sin μ = 0). It falls with the cube of the amplitude: far below a pixel no sign shows.
+whose k = 1 mostly shifts the picture and is lost to the free mean position. What is left at small amplitude is the
+skew, −(3 e₁ + e₃)/4·|v|³ with e_k = 2 sin(kμ) sin(kΘ/2)/(kΘ), in which sin μ and sin(Θ/2) are multiplied by a number
+that is never negative: no two values of sin μ look alike. Nothing is left over whole cycles (sin(Θ/2) = 0), or where
+the motion is in its mean position at the middle of the exposure (sin μ = 0). The skew falls with the cube of the
+amplitude: far below a pixel no sign shows.
 
 **Hence signs.** Points of one standing motion share μ. Each alone shows on which side of its mean it stood at the
 middle of the exposure; two that stood on the sides of +v₁ and +v₂ move that way together.

@@ -79,6 +79,7 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         covariance = covariance + timing_covariance(best, exposures, orbit_motion)
         pick = _picking(exposures, len(best.p), 4)
         rival = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
+        rival = rival or len(exposures.windows) == 1  # its mirror image in time
         value, covariance = pick @ best.p, pick @ covariance @ pick.T
         size, sd = _size(value[2:], covariance[2:, 2:])
         return Steady(value, covariance, size, sd, best, profile, None, 0.0, rival, one_sided)
