@@ -125,7 +125,7 @@ def _report(exposures: Exposures, found: Steady) -> Measurement:
     elif found.rival:
         flags.add(Flag.AMBIGUOUS)
     blur = float(np.mean(best.p[2 : FRAME * len(exposures.settings) : FRAME]))
-    axes = unphased(sharp, found) if found.standing is not None and found.standing.is_loose else None
+    axes = unphased(sharp, found) if found.is_loose else None
     return Measurement(
         sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
     )

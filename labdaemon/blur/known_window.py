@@ -32,7 +32,7 @@ def unphased(sharp: SharpTarget, found: Steady) -> Measurement:
     """What was found, by its axes, without its phase."""
     best, standing = found.solution, found.standing
     if standing is None:
-        centre, a, b, cov = phased_axes(found.value, found.covariance)
+        centre, a, b, cov = phased_axes(found.value, found.held_covariance)
     else:
         centre, a, b, cov = _straight_axes(standing, found.beside_px2)
     flags = reach_flags(sharp, best, a, b)

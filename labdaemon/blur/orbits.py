@@ -83,7 +83,7 @@ def solve_orbit(
     """
     senses = (1.0, -1.0) if len(exposures.windows) > 1 else (1.0,)
     pairs = [pair for turn in senses for pair in _round_the_circle(exposures, spread, turn)]
-    pairs += [_turned(profile, turn * minor_px) for turn in senses]
+    pairs += [turned(profile.vector, profile.phase, turn * minor_px) for turn in senses]
     size = max(float(np.hypot(np.hypot(*a), np.hypot(*b))) for a, b in pairs)
     model, prior = exposures.model(orbit_motion, 3.0 + 1.3 * size), exposures.prior(4)
     starts = [exposures.begin(a, b, np.concatenate((a, b))) for a, b in pairs]
@@ -131,11 +131,11 @@ def _power(matrix: FloatArray, exponent: float, least: float) -> FloatArray:
     return result
 
 
-def _turned(profile: PhaseProfile, minor_px: float) -> tuple[FloatArray, FloatArray]:
-    """The standing motion with a minor axis added, a quarter of a cycle later."""
-    v, c, s = profile.vector, np.cos(profile.phase), np.sin(profile.phase)
-    minor = minor_px * across(v)
-    return v * c - minor * s, v * s + minor * c
+def turned(vector: FloatArray, phase_rad: float, minor_px: float) -> tuple[FloatArray, FloatArray]:
+    """Vectors a and b of v·sin(ωt + ψ) with a minor axis added, across v and a quarter of a cycle later."""
+    c, s = np.cos(phase_rad), np.sin(phase_rad)
+    minor = minor_px * across(vector)
+    return vector * c - minor * s, vector * s + minor * c
 
 
 def across(vector: FloatArray) -> FloatArray:

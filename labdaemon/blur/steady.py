@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,10 @@ from labdaemon.blur.phase_chances import CLOSE, Standing, summed_up, two_valleys
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.solve import Solution
 from labdaemon.blur.standing import PhaseProfile, profile_phase
+from labdaemon.blur.turning import Turning, all_turnings, at_phase
 from labdaemon.blur.windowed import FRAME, Exposures, orbit_motion, phase_motion, timing_covariance
+
+UNSURE_RAD = 0.1  # deviation of an orbit's phase from which all phases are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +35,12 @@ class Steady:
         The standing motion that fits best.
     standing
         The standing motion that a and b are; None where they are an orbit's.
+    held_covariance
+        (6, 6) of an orbit's value with its phase held.
     beside_px2
         Mean square of a minor axis that a standing motion may have.
+    is_loose
+        Whether the phase hardly shows.
     rival
         Whether another solution, clearly apart, fits as well.
     one_sided_px2
@@ -47,7 +54,9 @@ class Steady:
     solution: Solution
     profile: PhaseProfile
     standing: Standing | None
+    held_covariance: FloatArray
     beside_px2: float
+    is_loose: bool
     rival: bool
     one_sided_px2: float = 0.0
 
@@ -78,11 +87,18 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         covariance = honest_covariance(exposures.sharp, best, exposures.planes)
         covariance = covariance + timing_covariance(best, exposures, orbit_motion)
         pick = _picking(exposures, len(best.p), 4)
-        rival = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
-        rival = rival or len(exposures.windows) == 1  # its mirror image in time
         value, covariance = pick @ best.p, pick @ covariance @ pick.T
-        size, sd = _size(value[2:], covariance[2:, 2:])
-        return Steady(value, covariance, size, sd, best, profile, None, 0.0, rival, one_sided)
+        held = at_phase(value, covariance)
+        size, sd = _size(value[2:], held[2:, 2:])
+        found = Turning(covariance, False, True)  # a single frame has its mirror image in time
+        if len(exposures.windows) > 1:
+            found = Turning(
+                covariance, False, other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
+            )
+            if found.rival or _sd_phase(value, covariance) > UNSURE_RAD:
+                found = all_turnings(exposures, profile, best, value, covariance)
+        steady = Steady(value, found.covariance, size, sd, best, profile, None, held, 0.0, found.is_loose, found.rival)
+        return replace(steady, one_sided_px2=one_sided)
     best = profile.best
     covariance = honest_covariance(exposures.sharp, best, exposures.planes)
     covariance = covariance + timing_covariance(best, exposures, phase_motion)
@@ -94,7 +110,19 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = standing.covariance + beside * np.outer(quarter_later, quarter_later)
     rival = two_valleys(profile)
-    return Steady(standing.value, covariance, size, sd, best, profile, standing, beside, rival, one_sided)
+    held = np.zeros((6, 6))
+    steady = Steady(
+        standing.value, covariance, size, sd, best, profile, standing, held, beside, standing.is_loose, rival
+    )
+    return replace(steady, one_sided_px2=one_sided)
+
+
+def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
+    """Linear deviation of the common phase of a and b."""
+    by_phase = np.concatenate((-value[4:], value[2:4]))
+    return float(
+        np.sqrt(max(float(by_phase @ covariance[2:, 2:] @ by_phase), 0.0)) / max(float(by_phase @ by_phase), 1e-12)
+    )
 
 
 def _size(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
