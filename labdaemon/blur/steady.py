@@ -12,7 +12,7 @@ from labdaemon.blur.phase_chances import CLOSE, Standing, summed_up, two_valleys
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.solve import Solution
 from labdaemon.blur.standing import PhaseProfile, profile_phase
-from labdaemon.blur.turning import Turning, all_turnings, at_phase
+from labdaemon.blur.turning import all_turnings, at_phase
 from labdaemon.blur.windowed import FRAME, Exposures, orbit_motion, phase_motion, timing_covariance
 
 UNSURE_RAD = 0.1  # deviation of an orbit's phase from which all phases are tried
@@ -90,14 +90,12 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         value, covariance = pick @ best.p, pick @ covariance @ pick.T
         held = at_phase(value, covariance)
         size, sd = _size(value[2:], held[2:, 2:])
-        found = Turning(covariance, False, True)  # a single frame has its mirror image in time
-        if len(exposures.windows) > 1:
-            found = Turning(
-                covariance, False, other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
-            )
-            if found.rival or _sd_phase(value, covariance) > UNSURE_RAD:
-                found = all_turnings(exposures, profile, best, value, covariance)
-        steady = Steady(value, found.covariance, size, sd, best, profile, None, held, 0.0, found.is_loose, found.rival)
+        loose, alone = False, len(exposures.windows) == 1
+        near = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
+        if not alone and (near or _sd_phase(value, covariance) > UNSURE_RAD):
+            covariance, loose = all_turnings(exposures, profile, best, value, covariance)
+        # A single frame has its mirror image in time.
+        steady = Steady(value, covariance, size, sd, best, profile, None, held, 0.0, loose, alone)
         return replace(steady, one_sided_px2=one_sided)
     best = profile.best
     covariance = honest_covariance(exposures.sharp, best, exposures.planes)

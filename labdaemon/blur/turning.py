@@ -7,7 +7,6 @@ the best of them, with the covariance of all.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,37 +14,19 @@ from scipy.interpolate import CubicSpline
 from labdaemon.blur.law import nodes_transfer
 from labdaemon.blur.model import Motion
 from labdaemon.blur.orbits import across, turned
-from labdaemon.blur.phase_chances import BROAD_RAD, CLOSE, FINE
+from labdaemon.blur.phase_chances import BROAD_RAD, FINE
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.solve import Solution, solve
 from labdaemon.blur.standing import PhaseProfile
 from labdaemon.blur.windowed import FRAME, Exposures, MotionOf
 
 CHANCES_FINE = FINE // 2  # phases of each sense over which the chances are summed
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Turning:
-    """What is known of an orbit.
-
-    Attributes
-    ----------
-    covariance
-        (6, 6) of x, y, ax, ay, bx, by about the best solution.
-    is_loose
-        Whether the phase hardly shows.
-    rival
-        Whether the phase shows, and the other sense of turning fits as well.
-    """
-
-    covariance: FloatArray
-    is_loose: bool
-    rival: bool
+UNLIKELY = 0.01  # chance of the other sense of turning below which the linear covariance holds
 
 
 def all_turnings(
     exposures: Exposures, profile: PhaseProfile, best: Solution, value: FloatArray, covariance: FloatArray
-) -> Turning:
+) -> tuple[FloatArray, bool]:
     """Sum up an orbit over all phases and both senses.
 
     Parameters
@@ -54,6 +35,11 @@ def all_turnings(
         The standing motion that fits best.
     best, value, covariance
         The orbit that fits best, its (6,) x, y, ax, ay, bx, by and their linear covariance.
+
+    Returns
+    -------
+    covariance, is_loose
+        (6, 6) about the best solution; whether the phase hardly shows.
     """
     minor_px = float(np.linalg.svd(value[2:].reshape(2, 2), compute_uv=False)[1])
     phases = profile.phase_rad
@@ -77,11 +63,10 @@ def all_turnings(
     own = chance[near] / chance[near].sum()
     size2 = float(value[2:] @ value[2:])
     loose = float(own @ np.sum(away[near, :, 2:] ** 2, axis=1)) > BROAD_RAD**2 * size2
-    rival = float(abs(cost[0].min() - cost[1].min())) < CLOSE * max(best.chi2, 1.0)
-    if not loose:
-        return Turning(covariance, False, rival)
+    if not loose and chance[1 - near].sum() < UNLIKELY:
+        return covariance, False
     flat, weight = away.reshape(-1, 6), chance.reshape(-1)
-    return Turning(at_phase(value, covariance) + (weight * flat.T) @ flat, True, False)
+    return at_phase(value, covariance) + (weight * flat.T) @ flat, loose
 
 
 def at_phase(value: FloatArray, covariance: FloatArray) -> FloatArray:
