@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.standing import PhaseProfile
 
-BROAD_RAD = 0.25  # deviation of the phase up to which the linear covariance holds
+BROAD_RAD = 0.12  # deviation of the phase up to which the linear covariance holds
 FINE = 256  # phases over which the chances are summed
 CLOSE = 9.0  # difference of squared residuals below which another solution may be the true one
 APART = 16.0  # and the height between two of them from which they are two

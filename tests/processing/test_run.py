@@ -221,7 +221,7 @@ def test_one_part_cycle_capture_gives_signs(tmp_path: Path, pool: WorkerPool, ca
     """Of targets that move in phase: where each stood at the middle of the exposure, from the phase they share."""
     folder = make_folder(
         tmp_path / "set",
-        seed=61 + cameras,
+        seed=63 + cameras,
         cameras=cameras,
         targets=12,
         amplitude_mm=(1.0, 3.0),
