@@ -10,6 +10,7 @@ from labdaemon.blur.motion import ExtraBlur, Measurement, Start, StillMeasuremen
 from labdaemon.blur.noise import estimate_noise
 from labdaemon.blur.pixels import Dot, NoiseModel, Patch
 from labdaemon.blur.sharp import SharpTarget
+from labdaemon.blur.signs import RelativeSigns, relative_signs
 from labdaemon.blur.still import measure_still
 from labdaemon.blur.texture import sharp_texture
 
@@ -20,6 +21,7 @@ __all__ = [
     "Measurement",
     "NoiseModel",
     "Patch",
+    "RelativeSigns",
     "SharpTarget",
     "Start",
     "StillMeasurement",
@@ -32,5 +34,6 @@ __all__ = [
     "measure_frame",
     "measure_group",
     "measure_still",
+    "relative_signs",
     "sharp_texture",
 ]

@@ -7,14 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from labdaemon.blur.defocus import default_blur
-from labdaemon.blur.honesty import honest_covariance, reach_flags
+from labdaemon.blur.honesty import reach_flags
+from labdaemon.blur.known_window import unphased
 from labdaemon.blur.measure import WHOLE, measure
 from labdaemon.blur.model import Setting, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Solution
-from labdaemon.blur.windowed import FRAME, solve_windowed, stack, timing_covariance
+from labdaemon.blur.steady import Steady, fit_steady
+from labdaemon.blur.windowed import FRAME, Exposures
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -72,10 +73,8 @@ def measure_group(
         if setting is None:
             return nothing(sharp.name, {Flag.NOT_FOUND})
         settings.append(setting)
-    moments = [s.blob.moment_px2 for s in settings if s.blob is not None]
-    spread = 2 * (np.mean(moments, axis=0) - sharp.form.moment_px2) if moments else 4.0 * np.eye(2)
-    best, runner_up = solve_windowed(sharp, settings, windows, blurs, spread)
-    return _report(sharp, best, runner_up, settings, windows)
+    exposures = Exposures.of(sharp, settings, windows, blurs)
+    return _report(exposures, fit_steady(exposures))
 
 
 def _without_phase(
@@ -118,32 +117,15 @@ def _without_phase(
     return Measurement(sharp.name, value[:2], value[2:4], value[4:], covariance, False, frozenset(flags), blur, chi2)
 
 
-def _report(
-    sharp: SharpTarget, best: Solution, runner_up: Solution | None, settings: list[Setting], windows: Sequence[Window]
-) -> Measurement:
-    count = len(settings)
-    planes = stack([s.planes for s in settings])
-    covariance = honest_covariance(sharp, best, planes) + timing_covariance(best, settings, windows)
-    pick = np.zeros((6, len(best.p)))
-    for index in range(count):
-        pick[0, FRAME * index] = pick[1, FRAME * index + 1] = 1 / count
-    pick[2:, -4:] = np.eye(4)
-    value, cov = pick @ best.p, pick @ covariance @ pick.T
+def _report(exposures: Exposures, found: Steady) -> Measurement:
+    sharp, best, value, cov = exposures.sharp, found.solution, found.value, found.covariance
     flags = set(reach_flags(sharp, best, value[2:4], value[4:6]))
-    size = float(np.linalg.norm(value[2:]))
-    direction = value[2:] / max(size, 1e-12)
-    if size < 3.0 * float(np.sqrt(direction @ cov[2:, 2:] @ direction)):
+    if found.at_rest:
         flags.add(Flag.AT_REST)
-    elif runner_up is not None and runner_up.cost - best.cost < 4.0 * max(best.chi2, 1.0):
+    elif found.rival:
         flags.add(Flag.AMBIGUOUS)
+    blur = float(np.mean(best.p[2 : FRAME * len(exposures.settings) : FRAME]))
+    axes = unphased(sharp, found) if found.is_loose else None
     return Measurement(
-        sharp.name,
-        value[:2],
-        value[2:4],
-        value[4:6],
-        cov,
-        True,
-        frozenset(flags),
-        float(np.mean(best.p[2 : FRAME * count : FRAME])),
-        best.chi2,
+        sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
     )

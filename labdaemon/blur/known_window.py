@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from labdaemon.blur.axes import phased_axes
-from labdaemon.blur.honesty import REST_SIGMAS, honest_covariance, reach_flags
+from labdaemon.blur.axes import phased_axes, positive
+from labdaemon.blur.honesty import reach_flags
 from labdaemon.blur.model import Setting
 from labdaemon.blur.motion import ExtraBlur, Measurement, Window
+from labdaemon.blur.orbits import across
+from labdaemon.blur.phase_chances import Standing
+from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.windowed import solve_windowed, timing_covariance
+from labdaemon.blur.steady import Steady, fit_steady
+from labdaemon.blur.windowed import Exposures
 from labdaemon.flags import Flag
 
 
@@ -20,19 +24,29 @@ def measure_known_window(
 
     The phase of a single frame has a mirror image that fits as well, so it is not reported; see `measure_group`.
     """
-    moment = setting.blob.moment_px2 if setting.blob is not None else np.eye(2)
-    spread = 2 * (moment - sharp.form.moment_px2 - blur.mean_px2 * np.eye(2))
-    best, _ = solve_windowed(sharp, [setting], [window], [blur], spread)
-    covariance = honest_covariance(sharp, best, setting.planes) + timing_covariance(best, [setting], [window])
-    pick = [0, 1, *range(len(best.p) - 4, len(best.p))]
-    value, cov = best.p[pick], covariance[np.ix_(pick, pick)]
-    centre, a, b, cov = phased_axes(value, cov)
+    found = fit_steady(Exposures.of(sharp, [setting], [window], [blur]), orbit=orbit)
+    return unphased(sharp, found)
+
+
+def unphased(sharp: SharpTarget, found: Steady) -> Measurement:
+    """What was found, by its axes, without its phase."""
+    best, standing = found.solution, found.standing
+    if standing is None:
+        centre, a, b, cov = phased_axes(found.value, found.held_covariance)
+    else:
+        centre, a, b, cov = _straight_axes(standing, found.beside_px2)
     flags = reach_flags(sharp, best, a, b)
-    size = float(np.hypot(*a))
-    sd_a = float(np.sqrt(a @ cov[2:4, 2:4] @ a)) / max(size, 1e-12)
-    if size < REST_SIGMAS * sd_a:
+    if found.at_rest:
         flags.add(Flag.AT_REST)
-    sd_b = float(np.sqrt(max(np.trace(cov[4:, 4:]), 0)))
-    if not orbit or float(np.hypot(*b)) < REST_SIGMAS * sd_b:
-        b = np.zeros(2)
     return Measurement(sharp.name, centre, a, b, cov, False, frozenset(flags), float(best.p[2]), best.chi2)
+
+
+def _straight_axes(standing: Standing, beside_px2: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Centre, a, b and covariance of a straight motion."""
+    a = positive(standing.axis[2:])
+    side = 1.0 if np.array_equal(a, standing.axis[2:]) else -1.0
+    turn = np.diag([1.0, 1.0, side, side])
+    covariance = np.zeros((6, 6))
+    covariance[:4, :4] = turn @ standing.axis_covariance @ turn
+    covariance[4:, 4:] = beside_px2 * np.outer(across(a), across(a))
+    return standing.axis[:2], a, np.zeros(2), covariance

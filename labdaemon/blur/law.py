@@ -145,3 +145,27 @@ def nodes_transfer(
         derivatives[2 * row] = fx * moment
         derivatives[2 * row + 1] = fy * moment
     return transfer, derivatives
+
+
+def standing_transfer(
+    fx: FloatArray, fy: FloatArray, motion: FloatArray, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Transfer function of a standing motion v·sin(ωt + ψ) at nodes, and its derivatives by vx, vy and ψ.
+
+    Parameters
+    ----------
+    fx, fy
+        As for `nodes_transfer`.
+    motion
+        (3,) vx, vy (px) and ψ (rad).
+    basis, weight
+        (2, K) sin ωt and cos ωt; (K,).
+    """
+    turn = np.array([[np.cos(motion[2]), np.sin(motion[2])], [-np.sin(motion[2]), np.cos(motion[2])]])
+    course = turn @ basis
+    along_x = np.exp(-2j * np.pi * motion[0] * course[0][:, None] * fx[:1])
+    along_y = np.exp(-2j * np.pi * motion[1] * fy[:, :1] * course[0][None, :]) * weight
+    moment = -2j * np.pi * ((along_y * course[0]) @ along_x)
+    later = -2j * np.pi * ((along_y * course[1]) @ along_x)
+    by_phase = (motion[0] * fx + motion[1] * fy) * later
+    return along_y @ along_x, np.stack((fx * moment, fy * moment, by_phase))

@@ -63,6 +63,8 @@ class Measurement:
         Isotropic extra variance against the sharp frame (defocus), px², as used.
     chi2
         Mean squared normalised residual; 1 when the model holds.
+    axes
+        The same without its phase, where it is `phased` but the phase hardly shows.
     """
 
     target: str
@@ -74,6 +76,7 @@ class Measurement:
     flags: frozenset[Flag] = field(default_factory=frozenset)
     extra_blur_px2: float = 0.0
     chi2: float = 1.0
+    axes: Measurement | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -183,6 +183,7 @@ def solve(
     *,
     bound: Callable[[FloatArray], FloatArray] = lambda p: p,
     max_iterations: int = 30,
+    tolerance: float = TOLERANCE,
     light: FloatArray | None = None,
 ) -> Solution:
     """Fit the model to the planes.
@@ -200,14 +201,16 @@ def solve(
         On the parameters.
     bound
         Brings parameters back to where the model is defined.
+    tolerance
+        Part of each standard deviation below which a step is the last.
     light
         (n, 4) light to start from; solved linearly if not given.
 
     Returns
     -------
     Solution
-        The iterations end when the step falls below a tenth of each standard deviation. That last step is still taken,
-        but the model is not evaluated after it: steps shrink so fast that the next would be a hundredth of it.
+        The last step is still taken, but the model is not evaluated after it: steps shrink so fast that the next would
+        be a hundredth of it.
     """
     p = bound(np.array(start, dtype=np.float64))
     dark, by_p = _look(model, p)
@@ -225,7 +228,7 @@ def solve(
             trial = bound(p + equations.step(damping))
             short = np.abs(trial - p)
             # Short against the deviation alone may be long where something hardly shows.
-            if np.max(short * equations.scale) < TOLERANCE and np.max(short) < SHORT:
+            if np.max(short * equations.scale) < tolerance and np.max(short) < SHORT:
                 return _carried(planes, y, weight, equations, prior, p, light, dark, by_p, trial - p)
         accepted = False
         for _ in range(8):
@@ -242,7 +245,7 @@ def solve(
         if not accepted:
             converged = True
             break
-        small = bool(np.max(np.abs(step) * equations.scale) < TOLERANCE) or cost - trial_cost < SAME * cost
+        small = bool(np.max(np.abs(step) * equations.scale) < tolerance) or cost - trial_cost < SAME * cost
         p, light, dark, by_p, signal, cost = trial, trial_light, trial_dark, trial_by_p, trial_signal, trial_cost
         damping = max(damping / 10, 1e-9)
         if iteration < settle:

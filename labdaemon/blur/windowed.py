@@ -1,97 +1,166 @@
-"""Motion seen through known windows: one or several frames, a and b common, each frame's mean position its own."""
+"""Models of motion seen through known windows: one or several frames, each frame's mean position its own.
+
+The parameters are x, y and extra blur of each frame, then the shape's, then the motion's: the vector v of a standing
+motion v·sin(ωt + ψ) at a held phase ψ, the same with its phase, or the vectors a and b of an orbit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from labdaemon.blur.law import nodes_transfer, window_nodes
-from labdaemon.blur.model import Setting, blurred_model
+from labdaemon.blur.law import nodes_transfer, standing_transfer, window_nodes
+from labdaemon.blur.model import Motion, Setting, blurred_model
 from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.motion import ExtraBlur, Window
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, light_level, render_light, solve, solve_light
+from labdaemon.blur.solve import Model, Prior, Solution, light_level
 from labdaemon.blur.weights import pixel_weights, shape_precision
 
-SHORT_LIST = 5  # starts that are followed to their end
-DIFFERENT = 16.0  # squared distance, in the best solution's own deviations, from which another is not the same one
 FRAME = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's
 
-
-def solve_windowed(
-    sharp: SharpTarget, settings: list[Setting], windows: Sequence[Window], blurs: list[ExtraBlur], spread: FloatArray
-) -> tuple[Solution, Solution | None]:
-    """Best solution from starts all round the phase circle, and the best one that differs from it in phase."""
-    k = settings[0].shapes
-    count = len(settings)
-    planes = stack([s.planes for s in settings])
-    model = _group_model(settings, planes, windows, 3.0 + 1.3 * float(np.sqrt(max(np.max(np.abs(spread)), 0.1))))
-    size = FRAME * count + k + 4
-    precision, mean = np.zeros((size, size)), np.zeros(size)
-    for index, blur in enumerate(blurs):
-        precision[FRAME * index + 2, FRAME * index + 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
-        mean[FRAME * index + 2] = blur.mean_px2
-    precision[FRAME * count : FRAME * count + k, FRAME * count : FRAME * count + k] = shape_precision(sharp)
-    prior = Prior(mean, precision)
-    weights = pixel_weights(sharp, planes)
-    fixed = np.concatenate([*([*x.start_px, e.mean_px2] for x, e in zip(settings, blurs, strict=True)), np.zeros(k)])
-    starts = [_begin(fixed, windows, a, b) for a, b in _round_the_circle(spread)]
-    costs = [_rough_cost(planes, weights, model, start) for start in starts]
-    promising = [starts[index] for index in np.argsort(costs)[:SHORT_LIST]]
-    solutions = [solve(planes, weights, model, start, prior, max_iterations=25) for start in promising]
-    best = min(solutions, key=lambda x: x.cost)
-    # An orbit run through the other way round looks almost alike.
-    mirrored = _begin(fixed, windows, *_other_way_round(best.p[-4:-2], best.p[-2:]))
-    solutions.append(solve(planes, weights, model, mirrored, prior, max_iterations=25))
-    solutions.sort(key=lambda x: x.cost)
-    best = solutions[0]
-    information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)
-    away = [(x, x.p[-4:] - best.p[-4:]) for x in solutions[1:]]
-    others = [x for x, d in away if float(d @ information @ d) > DIFFERENT]
-    return best, others[0] if others else None
+MotionOf = Callable[[FloatArray, FloatArray], Motion]
+"""From the nodes of a frame's window (2, K) and their weights (K,) to the motion's transfer function."""
 
 
-def _round_the_circle(spread: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Vectors a and b with the smear's second moment, at eight phases and, for an orbit, in both senses."""
-    values, vectors = np.linalg.eigh(spread)
-    major = np.sqrt(max(values[1], 0.05)) * vectors[:, 1]
-    minor = 0.7 * np.sqrt(max(values[0], 0.02)) * vectors[:, 0]
-    pairs = []
-    for psi in np.arange(8) * np.pi / 4:
-        for turn in (1.0, -1.0) if values[0] > 0.02 * values[1] else (1.0,):
-            c, s = np.cos(psi), np.sin(psi)
-            pairs.append((major * c - turn * minor * s, major * s + turn * minor * c))
-    return pairs
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposures:
+    """A target in the frames that are measured together.
+
+    Attributes
+    ----------
+    sharp
+        The target at rest.
+    settings, windows, blurs
+        One of each a frame.
+    planes
+        All frames' pixels.
+    """
+
+    sharp: SharpTarget
+    settings: list[Setting]
+    windows: list[Window]
+    blurs: list[ExtraBlur]
+    planes: Planes
+
+    @classmethod
+    def of(
+        cls, sharp: SharpTarget, settings: list[Setting], windows: Sequence[Window], blurs: Sequence[ExtraBlur]
+    ) -> Exposures:
+        """Put frames together."""
+        return cls(sharp, settings, list(windows), list(blurs), stack([s.planes for s in settings]))
+
+    @property
+    def shape_count(self) -> int:
+        """How many parameters the target's shape has."""
+        return self.settings[0].shapes
+
+    @property
+    def first_motion(self) -> int:
+        """Place of the first parameter of the motion."""
+        return FRAME * len(self.settings) + self.shape_count
+
+    def weights(self, signal: FloatArray) -> FloatArray:
+        """Inverse variances of all pixels by the modelled values."""
+        return pixel_weights(self.sharp, self.planes)(signal)
+
+    def prior(self, motion_count: int) -> Prior:
+        """Defocus from the controls, shape from the sharp frame; nothing is known of places and motion."""
+        k, shape = self.shape_count, slice(self.first_motion - self.shape_count, self.first_motion)
+        size = self.first_motion + motion_count
+        precision, mean = np.zeros((size, size)), np.zeros(size)
+        for index, blur in enumerate(self.blurs):
+            precision[FRAME * index + 2, FRAME * index + 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
+            mean[FRAME * index + 2] = blur.mean_px2
+        if k:
+            precision[shape, shape] = shape_precision(self.sharp)
+        return Prior(mean, precision)
+
+    def begin(self, a: FloatArray, b: FloatArray, motion: FloatArray) -> FloatArray:
+        """Parameters to start from; a smear's middle is the mean place plus what the window adds to it."""
+        frames = []
+        for setting, window, blur in zip(self.settings, self.windows, self.blurs, strict=True):
+            basis, weight = window_nodes(window, 3.0)
+            place = setting.start_px - a * (basis[0] @ weight) - b * (basis[1] @ weight)
+            frames += [*place, blur.mean_px2]
+        return np.concatenate((frames, np.zeros(self.shape_count), motion))
+
+    def model(self, motion_of: MotionOf, reach_px: float) -> Model:
+        """Darkness of all frames' pixels and its derivatives.
+
+        Parameters
+        ----------
+        motion_of
+            The kind of motion, one of `orbit_motion`, `phase_motion` and `standing_motion(ψ)`.
+        reach_px
+            Largest amplitude to be represented.
+        """
+        count, lattices = len(self.settings), len(self.settings[0].planes.channel)
+        shape = self.planes.values.shape
+        models = [
+            blurred_model(setting, motion_of(*window_nodes(window, reach_px)))
+            for setting, window in zip(self.settings, self.windows, strict=True)
+        ]
+
+        def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+            dark, by_p = np.zeros(shape), np.zeros((len(p), *shape))
+            for index, (one, setting) in enumerate(zip(models, self.settings, strict=True)):
+                own = np.concatenate((p[FRAME * index : FRAME * index + FRAME], p[FRAME * count :]))
+                image, slopes = one(own)
+                rows = slice(lattices * index, lattices * (index + 1))
+                _, height, width = setting.planes.values.shape
+                dark[rows, :height, :width] = image
+                by_p[FRAME * index : FRAME * index + FRAME, rows, :height, :width] = slopes[:FRAME]
+                by_p[FRAME * count :, rows, :height, :width] = slopes[FRAME:]
+            return dark, by_p
+
+        return models[0] if count == 1 else model
+
+    def held_shape(self) -> Exposures:
+        """The same with the target's shape held."""
+        return replace(self, settings=[replace(one, target=one.target.rigid) for one in self.settings])
 
 
-def _other_way_round(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same ellipse and the same phase along its major axis, run through in the other sense."""
-    _, vectors = np.linalg.eigh(np.outer(a, a) + np.outer(b, b))
-    mirror = np.eye(2) - 2 * np.outer(vectors[:, 0], vectors[:, 0])
-    return mirror @ a, mirror @ b
+def orbit_motion(basis: FloatArray, weight: FloatArray) -> Motion:
+    """Motion by (ax, ay, bx, by)."""
+    return partial(_at_nodes, basis=basis, weight=weight)
 
 
-def _begin(fixed: FloatArray, windows: Sequence[Window], a: FloatArray, b: FloatArray) -> FloatArray:
-    """Parameters to start from; the smear's middle is the mean place plus what the window adds to it."""
-    start = np.concatenate((fixed, a, b))
-    for index, window in enumerate(windows):
-        basis, weight = window_nodes(window, 3.0)
-        start[FRAME * index : FRAME * index + 2] -= a * (basis[0] @ weight) + b * (basis[1] @ weight)
-    return start
+def phase_motion(basis: FloatArray, weight: FloatArray) -> Motion:
+    """Standing motion by (vx, vy, ψ)."""
+    return partial(_at_phase, basis=basis, weight=weight)
 
 
-def _rough_cost(planes: Planes, weights: Callable[[FloatArray], FloatArray], model: Model, start: FloatArray) -> float:
-    dark, _ = model(start)
-    weight = weights(np.maximum(planes.values, 0))
-    light = solve_light(planes, weight, dark)
-    return float(np.sum(weight * (planes.values - render_light(planes, light, dark)) ** 2))
+def standing_motion(phase_rad: float) -> MotionOf:
+    """Standing motion by (vx, vy) at a held phase."""
+
+    def motion(basis: FloatArray, weight: FloatArray) -> Motion:
+        course = np.cos(phase_rad) * basis[0] + np.sin(phase_rad) * basis[1]
+        return partial(_at_nodes, basis=course[None], weight=weight)
+
+    return motion
+
+
+def _at_nodes(
+    fx: FloatArray, fy: FloatArray, vectors: FloatArray, *, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    return nodes_transfer(fx, fy, vectors, basis, weight)
+
+
+def _at_phase(
+    fx: FloatArray, fy: FloatArray, motion: FloatArray, *, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    return standing_transfer(fx, fy, motion, basis, weight)
 
 
 def stack(parts: list[Planes]) -> Planes:
     """Patches of several frames as one, each lattice keeping its own place; smaller ones are padded with nothing."""
+    if len(parts) == 1:
+        return parts[0]
     height = max(p.values.shape[1] for p in parts)
     width = max(p.values.shape[2] for p in parts)
     values, valid, offsets = [], [], []
@@ -107,58 +176,24 @@ def stack(parts: list[Planes]) -> Planes:
     )
 
 
-def _group_model(settings: list[Setting], planes: Planes, windows: Sequence[Window], reach_px: float) -> Model:
-    count = len(settings)
-    lattices = len(settings[0].planes.channel)
-    models = []
-    for setting, window in zip(settings, windows, strict=True):
-        basis, weight = window_nodes(window, reach_px)
-        models.append(blurred_model(setting, partial(_at_nodes, basis=basis, weight=weight)))
-
-    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        dark = np.zeros(planes.values.shape)
-        by_p = np.zeros((len(p), *planes.values.shape))
-        for index, (one, setting) in enumerate(zip(models, settings, strict=True)):
-            own = np.concatenate((p[FRAME * index : FRAME * index + FRAME], p[FRAME * count :]))
-            image, slopes = one(own)
-            rows = slice(lattices * index, lattices * (index + 1))
-            _, height, width = setting.planes.values.shape
-            dark[rows, :height, :width] = image
-            by_p[FRAME * index : FRAME * index + FRAME, rows, :height, :width] = slopes[:FRAME]
-            by_p[FRAME * count :, rows, :height, :width] = slopes[FRAME:]
-        return dark, by_p
-
-    return model
-
-
-def _at_nodes(
-    fx: FloatArray, fy: FloatArray, vectors: FloatArray, *, basis: FloatArray, weight: FloatArray
-) -> tuple[ComplexArray, ComplexArray]:
-    return nodes_transfer(fx, fy, vectors, basis, weight)
-
-
-def timing_covariance(best: Solution, settings: list[Setting], windows: Sequence[Window]) -> FloatArray:
+def timing_covariance(best: Solution, exposures: Exposures, motion_of: MotionOf) -> FloatArray:
     """Covariance that the windows' phase and length uncertainties add, by finite differences of the model."""
-    planes = stack([s.planes for s in settings])
     size = len(best.p)
     total = np.zeros((size, size))
-    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[-4:]))
-    base, _ = _group_model(settings, planes, windows, reach)(best.p)
-    level = light_level(planes, best.light) * best.light[:, 3, None, None]
+    windows = exposures.windows
+    if all(window.sd_phase_rad <= 0 and window.sd_exposure_s <= 0 for window in windows):
+        return total
+    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[exposures.first_motion :]))
+    base, _ = exposures.model(motion_of, reach)(best.p)
+    level = light_level(exposures.planes, best.light) * best.light[:, 3, None, None]
     for index, window in enumerate(windows):
-        for kind, sd in (("phase", window.sd_phase_rad), ("exposure", window.sd_exposure_s)):
+        later = replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad)
+        longer = replace(window, exposure_s=window.exposure_s + window.sd_exposure_s)
+        for other, sd in ((later, window.sd_phase_rad), (longer, window.sd_exposure_s)):
             if sd <= 0:
                 continue
-            phase = window.phase_rad or 0.0
-            other = (
-                Window(window.frequency_hz, window.exposure_s, phase + sd)
-                if kind == "phase"
-                else Window(window.frequency_hz, window.exposure_s + sd, phase)
-            )
-            changed = [*windows]
-            changed[index] = other
-            moved, _ = _group_model(settings, planes, changed, reach)(best.p)
-            change = -level * (moved - base)
-            shift = np.einsum("knhw,nhw->k", best.gain, change)
+            changed = replace(exposures, windows=[*windows[:index], other, *windows[index + 1 :]])
+            moved, _ = changed.model(motion_of, reach)(best.p)
+            shift = np.einsum("knhw,nhw->k", best.gain, -level * (moved - base))
             total += np.outer(shift, shift)
     return total

@@ -39,6 +39,8 @@ class Candidate:
         Its degrees of freedom.
     worst_px
         Largest residual of an observation (px, or px² for second moments).
+    against
+        What is known otherwise of the ends' signs and contradicts it, as a sum of squares.
     """
 
     motion_mm: FloatArray
@@ -46,6 +48,12 @@ class Candidate:
     square: float
     freedom: int
     worst_px: float
+    against: float = 0.0
+
+    @property
+    def unlikely(self) -> float:
+        """Residuals and all else that speaks against it, as a sum of squares."""
+        return self.square + self.against
 
 
 def position(views: Sequence[View], mean_px: Sequence[FloatArray]) -> FloatArray:

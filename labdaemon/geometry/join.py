@@ -12,6 +12,7 @@ from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.continuity import Witness, choose
 from labdaemon.geometry.intersect import Candidate
+from labdaemon.geometry.loose_phase import sign_evidence, with_phase
 from labdaemon.geometry.match import orbit_candidates, phased_candidate, straight_candidates
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.orbit import largest_sign, principal_axes
@@ -59,7 +60,13 @@ class Joined:
     evidence: float = 0.0
 
 
-def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: FloatArray | None = None) -> Joined:
+def join(
+    views: Sequence[View],
+    motions: Sequence[ImageMotion],
+    *,
+    covariance: FloatArray | None = None,
+    evidence: Sequence[float] | None = None,
+) -> Joined:
     """Motion in space of one target seen by several cameras.
 
     Straight motion is matched by its ends, orbits by their second moments, signed vectors directly. A path counts as
@@ -72,6 +79,8 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
     covariance
         (6 n, 6 n) joint covariance of the cameras' exterior parameters; without it each view's own is taken, the
         cameras independent of each other.
+    evidence
+        What each camera knows of the sign of its a, see `straight_candidates`.
 
     Returns
     -------
@@ -90,39 +99,51 @@ def join(views: Sequence[View], motions: Sequence[ImageMotion], *, covariance: F
     rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in seen]) if seen else np.arange(0)
     exterior = covariance[np.ix_(rows, rows)]
     views, motions = [views[i] for i in seen], [motions[i] for i in seen]
+    known = None if evidence is None else [evidence[i] for i in seen]
     if len(views) < 2:
         raise DataError("seen by one camera only: its depth is unknown")
-    if all(motion.phased for motion in motions):
+    phased = all(motion.phased for motion in motions)
+    loose = phased and any(motion.axes is not None for motion in motions)
+    if phased and not loose:
         best = phased_candidate(views, exterior, motions)
         signed = _object_motion(best, None, phased=True)
         if chi2.sf(best.square, best.freedom) < SIGNS_DISAGREE:
             return Joined(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
         return Joined(signed, settled_by="phase")
+    if loose:
+        axes = [_axes(motion) for motion in motions]
+        apart = join(views, axes, covariance=exterior, evidence=sign_evidence(motions, axes))
+        signed = with_phase(views, motions, apart.motion)
+        return replace(apart, motion=signed, alternative=None)
     motions = [_axes(motion) for motion in motions]
-    candidates, straight = _candidates(views, exterior, motions)
+    candidates, straight = _candidates(views, exterior, motions, known)
     best, others = candidates[0], candidates[1:]
     # Residuals larger than stated mean noise larger than stated: it may have decided the match.
     scale = max(1.0, best.square / best.freedom) if best.freedom > 0 else 1.0
     ratio = float(np.sqrt(others[0].square / max(best.square, 1e-12))) if others else None
-    rival = next(
-        (other for other in others if (other.square - best.square) / scale < CLEARLY_WORSE and _distinct(best, other)),
-        None,
-    )
+    close = [other for other in others if _worse(best, other, scale) < CLEARLY_WORSE]
+    rival = next((other for other in close if _distinct(best, other)), None)
     joined = _object_motion(best, ratio, phased=False)
     # Two cameras fix five of an orbit's six numbers. Where its plane is nearly edge-on to one of them the two roots
     # merge, and linear theory no longer says how far apart they may be: only roots that agree are believed.
     unfixed = not straight and len(views) == 2 and not (len(candidates) > 1 and _alike(*candidates[:2]))
     if rival is None and not unfixed:
-        return Joined(joined, settled_by="residual" if len(views) == 2 else "third camera")
+        by_rays = not others or (others[0].square - best.square) / scale >= CLEARLY_WORSE or not others[0].against
+        return Joined(joined, settled_by=("residual" if len(views) == 2 else "third camera") if by_rays else "phase")
     joined = replace(joined, flags=joined.flags | {Flag.AMBIGUOUS})
     if rival is None:
         return Joined(joined)
-    evidence = 0.5 * (rival.square - best.square) / scale
-    return Joined(joined, _object_motion(rival, ratio, phased=False), evidence=evidence)
+    odds = 0.5 * _worse(best, rival, scale)
+    return Joined(joined, _object_motion(rival, ratio, phased=False), evidence=odds)
+
+
+def _worse(best: Candidate, other: Candidate, scale: float) -> float:
+    """By how much another candidate is the less likely, as a difference of squares."""
+    return (other.square - best.square) / scale + other.against - best.against
 
 
 def _candidates(
-    views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]
+    views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion], evidence: Sequence[float] | None
 ) -> tuple[list[Candidate], bool]:
     """Solutions without phase, best first, and whether they are straight.
 
@@ -132,7 +153,7 @@ def _candidates(
     """
     if not all(is_straight(motion) for motion in motions):
         return orbit_candidates(views, exterior, motions), False
-    straight = straight_candidates(views, exterior, motions)
+    straight = straight_candidates(views, exterior, motions, evidence)
     best = straight[0]
     # Two cameras pay for an orbit with an ambiguity: only what a straight path cannot explain is called one.
     suspect = best.square > best.freedom if len(views) > 2 else chi2.sf(best.square, best.freedom) < NOT_STRAIGHT
@@ -181,6 +202,7 @@ def join_targets(
     *,
     covariance: FloatArray | None = None,
     members: Mapping[str, str] | None = None,
+    evidence: Mapping[str, Mapping[str, float]] | None = None,
 ) -> JoinedTargets:
     """Join all targets of a capture, then settle by continuity what the cameras left open.
 
@@ -194,11 +216,14 @@ def join_targets(
         (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `views`.
     members
         Structural member of each target, if known; without it all targets may be neighbours.
+    evidence
+        By target, then by camera: what is known of the sign of its a (`straight_candidates`).
 
     Returns
     -------
     JoinedTargets
     """
+    known = evidence or {}
     cameras = list(views)
     joined: dict[str, Joined] = {}
     refused: dict[str, str] = {}
@@ -211,6 +236,7 @@ def join_targets(
                 [views[cameras[i]] for i in present],
                 [pictures[cameras[i]] for i in present],
                 covariance=None if covariance is None else covariance[np.ix_(rows, rows)],
+                evidence=[known.get(target, {}).get(cameras[i], 0.0) for i in present],
             )
         except DataError as exc:
             refused[target] = str(exc)
@@ -280,6 +306,8 @@ def _axes(motion: ImageMotion) -> ImageMotion:
     """Picture by its principal axes (cameras with phase joined to ones without lose it)."""
     if not motion.phased:
         return motion
+    if motion.axes is not None:
+        return motion.axes
     a, b, covariance = principal_axes(motion.a_px, motion.b_px, motion.covariance_px2)
     return ImageMotion(motion.mean_px, a, b, covariance)
 

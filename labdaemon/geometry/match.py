@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -13,32 +14,55 @@ from labdaemon.geometry.motion import FloatArray, ImageMotion
 from labdaemon.geometry.orbit import principal_axes, second_moment, second_moment_covariance, second_moment_jacobian
 from labdaemon.geometry.view import View
 
+MOST_BELIEVED = 40.0
+"""What one camera's evidence for a sign counts for at most: rays that miss each other by far say more."""
 _AXIS_FLOOR_PX = 0.01  # no blur tells a minor axis from zero more closely than this
 
 
-def straight_candidates(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> list[Candidate]:
+def straight_candidates(
+    views: Sequence[View],
+    exterior: FloatArray,
+    motions: Sequence[ImageMotion],
+    evidence: Sequence[float] | None = None,
+) -> list[Candidate]:
     """Solutions of a straight motion for the 2^(n−1) ways of matching its ends, the better two, best first.
 
     A path's end carries no name, so each further camera may have its two the other way round, which is its a with the
     other sign. All combinations are judged by a linear adjustment of a alone, the best two in full.
+
+    Parameters
+    ----------
+    views, exterior, motions
+        As for `join`.
+    evidence
+        For each camera, twice the logarithm of the odds that its a points to where the target stood at one instant
+        that all cameras share (the middle of the exposure).
     """
+    known = np.zeros(len(views)) if evidence is None else np.asarray(evidence, dtype=float)
     start = np.zeros((3, 3))
     start[0] = position(views, [motion.mean_px for motion in motions])
     ranked = []
     for signs in product(*[(1.0,)] + [(1.0, -1.0)] * (len(views) - 1)):
         vector, square = _linear_vector(views, motions, signs, start[0])
-        ranked.append((square, signs, vector))
+        against = disagreement(known, signs)
+        ranked.append((square + against, signs, vector, against))
     ranked.sort(key=lambda entry: entry[0])
     result = []
-    for _, signs, vector in ranked[:2]:
+    for _, signs, vector, against in ranked[:2]:
         try:
             candidate = _adjust_straight(views, exterior, motions, signs, np.stack([start[0], vector, np.zeros(3)]))
         except DataError:
             continue  # ends matched wrongly may put the path behind a camera
-        result.append(candidate)
+        result.append(replace(candidate, against=against))
     if not result:
         raise DataError("no way of matching the ends of its path puts it in front of the cameras")
-    return sorted(result, key=lambda candidate: candidate.square)
+    return sorted(result, key=lambda candidate: candidate.unlikely)
+
+
+def disagreement(evidence: FloatArray, signs: Sequence[float]) -> float:
+    """What the cameras' evidence has against one way of matching the ends, whichever of the two ends it was."""
+    believed = np.clip(evidence, -MOST_BELIEVED, MOST_BELIEVED) * np.asarray(signs)
+    return float(min(np.sum(np.maximum(believed, 0.0)), np.sum(np.maximum(-believed, 0.0))))
 
 
 def _adjust_straight(

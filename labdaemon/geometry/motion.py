@@ -29,6 +29,8 @@ class ImageMotion:
         (6, 6) of (x, y, ax, ay, bx, by).
     phased
         True when a and b are signed by the excitation's phase.
+    axes
+        The same without its phase, where that hardly shows.
     """
 
     mean_px: FloatArray
@@ -36,6 +38,7 @@ class ImageMotion:
     b_px: FloatArray
     covariance_px2: FloatArray
     phased: bool = False
+    axes: ImageMotion | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

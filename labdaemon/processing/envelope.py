@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labdaemon.blur.motion import Measurement
+from labdaemon.blur.signs import stated
 from labdaemon.flags import Flag
 from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
@@ -22,6 +23,8 @@ from labdaemon.processing.tables import Row, envelope_row, measurement_row
 
 SPOILT = frozenset({Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT, Flag.AMBIGUOUS})
 """Flags for which a camera is left out where two others see a target well."""
+CURVED = 0.02
+"""Ratio of the axes from which a path in space is an orbit, and has no sign."""
 
 _Seen: TypeAlias = Mapping[str, Mapping[str, Measurement]]
 
@@ -107,18 +110,24 @@ def join_frames(
         As in `measure_capture`.
     """
     by_target: dict[str, dict[str, Measurement]] = {target: {} for target in sharp.targets}
+    evidence: dict[str, dict[str, float]] = {target: {} for target in sharp.targets}
     rows: list[Row] = []
     for frame in frames:
-        for measurement in frame.measurements:
+        for index, measurement in enumerate(frame.measurements):
             by_target[measurement.target][frame.camera] = measurement
-            rows.append(measurement_row(name, frame.camera, measurement))
+            evidence[measurement.target][frame.camera] = frame.evidence_of(index)
+            rows.append(measurement_row(name, frame.camera, measurement, stated(frame.evidence_of(index))))
     views = _views(sharp, frames)
-    joined = _on_plane(sharp, frames[0], by_target) if sharp.plane is not None else _in_space(sharp, views, by_target)
+    if sharp.plane is not None:
+        joined = _on_plane(sharp, frames[0], by_target)
+    else:
+        joined = _in_space(sharp, views, by_target, evidence)
     envelope = []
     for target, sure in zip(sharp.targets, sharp.sure, strict=True):
         motion = joined.get(target)
         flags = _flags(by_target[target], motion, cameras=len(views), sure=bool(sure))
-        envelope.append(envelope_row(name, target, motion, flags))
+        sign = 0 if motion is None else _sign(views, motion, by_target[target], evidence[target])
+        envelope.append(envelope_row(name, target, motion, flags, sign))
     files = folder.capture(captures[-1]).frames
     drawn = tuple((camera, file.relative_to(folder.root)) for camera, file in files.items())
     return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)), drawn)
@@ -153,13 +162,15 @@ def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, View]:
     }
 
 
-def _in_space(sharp: SharpSet, views: Mapping[str, View], by_target: _Seen) -> dict[str, ObjectMotion]:
+def _in_space(
+    sharp: SharpSet, views: Mapping[str, View], by_target: _Seen, evidence: Mapping[str, Mapping[str, float]]
+) -> dict[str, ObjectMotion]:
     """Several cameras: what their rays say together."""
     pictures = {
         target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
         for target, seen in by_target.items()
     }
-    joined = join_targets(views, pictures, covariance=sharp.covariance)
+    joined = join_targets(views, pictures, covariance=sharp.covariance, evidence=evidence)
     return {
         target: motion
         for target, motion in joined.motions.items()
@@ -167,9 +178,31 @@ def _in_space(sharp: SharpSet, views: Mapping[str, View], by_target: _Seen) -> d
     }
 
 
+def _sign(
+    views: Mapping[str, View],
+    motion: ObjectMotion,
+    seen: Mapping[str, Measurement],
+    evidence: Mapping[str, float],
+) -> int:
+    """Sign of a target's a in space by its cameras' evidence; 0 where they do not know, or contradict each other."""
+    if Flag.AMBIGUOUS in motion.flags or np.linalg.norm(motion.b_mm) > CURVED * np.linalg.norm(motion.a_mm):
+        return 0
+    turned = []
+    for camera, one in _trusted(seen).items():
+        a_px = views[camera].project_with_jacobians(motion.mean_mm[None])[1][0] @ motion.a_mm
+        turned.append(evidence.get(camera, 0.0) * float(np.sign(a_px @ one.a_px)))
+    signs = {stated(one) for one in turned} - {0}
+    return 0 if len(signs) > 1 else stated(sum(turned))
+
+
 def _image_motion(measurement: Measurement) -> ImageMotion:
     return ImageMotion(
-        measurement.centre_px, measurement.a_px, measurement.b_px, measurement.covariance_px2, measurement.phased
+        measurement.centre_px,
+        measurement.a_px,
+        measurement.b_px,
+        measurement.covariance_px2,
+        measurement.phased,
+        None if measurement.axes is None else _image_motion(measurement.axes),
     )
 
 

@@ -8,14 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Measurement, Patch, SharpTarget, Start, Window, measure_frame, measure_group
+from labdaemon.blur import (
+    Measurement,
+    Patch,
+    SharpTarget,
+    Start,
+    Window,
+    measure_frame,
+    measure_group,
+    relative_signs,
+)
 from labdaemon.blur.paper import measure_paper
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
 from labdaemon.imaging.frame import Grey, RawFrame
 from labdaemon.imaging.raw import read_frame
-from labdaemon.processing.group import holds_phase, mean_of
+from labdaemon.processing.group import holds_phase, is_part, mean_of
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
 from labdaemon.processing.shift import FrameShift, frame_shift
@@ -49,12 +58,20 @@ class FrameResult:
         What the control targets say of each frame.
     motions
         How the camera stood in each frame; empty without a survey.
+    evidence
+        For each target, twice the logarithm of the odds that it stood on the side of +a and not of −a at the middle of
+        the exposure, by the phase that it shares with the others (`relative_signs`); empty for whole cycles and groups.
     """
 
     camera: str
     measurements: tuple[Measurement, ...]
     shifts: tuple[FrameShift, ...]
     motions: tuple[CameraMotion, ...] = ()
+    evidence: tuple[float, ...] = ()
+
+    def evidence_of(self, index: int) -> float:
+        """Evidence for one target's sign."""
+        return self.evidence[index] if self.evidence else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,10 +129,12 @@ def measure_raw(
     # First of all: a frame of another camera would only be searched in vain.
     motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
     looks = [_look(camera, *each) for each in zip(frames, greys, shifts, strict=True)]
+    evidence: tuple[float, ...] = ()
     if method == "paper":
         found = _by_paper(camera, looks)
     elif len(frames) == 1:
         found = _measure_one(camera, looks[0], windows[0])
+        evidence = _evidence(camera, looks[0], windows[0], found)
     else:
         found = _measure_together(camera, looks, windows)
     if any(_moved(look.shift) for look in looks) or any(motion is not None and motion.moved for motion in motions):
@@ -125,6 +144,7 @@ def measure_raw(
         tuple(found),
         tuple(look.shift for look in looks),
         tuple(motion for motion in motions if motion is not None),
+        evidence,
     )
 
 
@@ -182,19 +202,41 @@ def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
 
 
 def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> list[Measurement]:
-    found = [index for index, smear in enumerate(look.smears) if smear is not None]
-    smears = [smear for smear in look.smears if smear is not None]
-    measured = measure_frame(
-        [camera.targets[index] for index in found],
-        [_cut(look.frame, camera.targets[index], smear) for index, smear in zip(found, smears, strict=True)],
-        window=window,
-        extra_blur=look.shift.extra_blur,
-        starts=[Start(smear.centre_px, smear.a_px, smear.b_px) for smear in smears],
-    )
+    found, targets, cuts, starts = _found(camera, look)
+    # Axes do not depend on the opening phase: where it is unknown, any will do.
+    unknown = window is not None and window.phase_rad is None and is_part(window)
+    if unknown and window is not None:
+        window = replace(window, phase_rad=0.0)
+    measured = measure_frame(targets, cuts, window=window, extra_blur=look.shift.extra_blur, starts=starts)
     result = [nothing(target) for target in camera.targets]
     for index, one in zip(found, measured, strict=True):
-        result[index] = one
+        seen = unknown and bool(np.isfinite(one.a_px).all())
+        result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
     return result
+
+
+def _found(camera: PreparedCamera, look: _Look) -> tuple[list[int], list[SharpTarget], list[Patch], list[Start]]:
+    """The targets that are in a frame: their places in the list, themselves, their smears and where to begin."""
+    seen = [(index, smear) for index, smear in enumerate(look.smears) if smear is not None]
+    targets = [camera.targets[index] for index, _ in seen]
+    cuts = [_cut(look.frame, target, smear) for target, (_, smear) in zip(targets, seen, strict=True)]
+    return [index for index, _ in seen], targets, cuts, [Start(s.centre_px, s.a_px, s.b_px) for _, s in seen]
+
+
+def _evidence(
+    camera: PreparedCamera, look: _Look, window: Window | None, measured: Sequence[Measurement]
+) -> tuple[float, ...]:
+    """Evidence for the sign of each target's a; 0 where there is none."""
+    if window is None or not is_part(window):
+        return ()
+    found, targets, cuts, starts = _found(camera, look)
+    signs = relative_signs(targets, cuts, window, extra_blur=look.shift.extra_blur, starts=starts)
+    evidence = np.zeros(len(camera.targets))
+    for index, vector, one, sign in zip(found, signs.vector_px, signs.evidence, signs.sign, strict=True):
+        a = measured[index].a_px
+        if np.isfinite([*a, *vector]).all() and not measured[index].b_px.any():
+            evidence[index] = one * np.sign(a @ vector) * (-1.0 if sign < 0 else 1.0)
+    return tuple(float(one) for one in evidence)
 
 
 def _measure_together(

@@ -16,9 +16,14 @@ FLOOR_PX2 = 1e-6
 """Keeps a covariance that is singular (a straight path's) invertible."""
 
 
+def is_part(window: Window) -> bool:
+    """Whether an exposure is no whole number of cycles."""
+    return abs(window.cycles - round(window.cycles)) > PART
+
+
 def holds_phase(window: Window) -> bool:
     """Whether an exposure shows which way a point moved: its phase is known and its cycles are not whole."""
-    return window.phase_rad is not None and abs(window.cycles - round(window.cycles)) > PART
+    return window.phase_rad is not None and is_part(window)
 
 
 def mean_of(measured: Sequence[Measurement]) -> Measurement:

@@ -25,8 +25,8 @@ JSON-able."""
 
 _PX = ("x_px", "y_px", "ax_px", "ay_px", "bx_px", "by_px")
 _MM = ("x_mm", "y_mm", "z_mm", "ax_mm", "ay_mm", "az_mm", "bx_mm", "by_mm", "bz_mm")
-MEASUREMENT_COLUMNS = ("capture", "camera", "target", *_PX, *(f"sd_{name}" for name in _PX), "flags")
-ENVELOPE_COLUMNS = ("capture", "target", *_MM, *(f"sd_{name}" for name in _MM), "residual_ratio", "flags")
+MEASUREMENT_COLUMNS = ("capture", "camera", "target", *_PX, *(f"sd_{name}" for name in _PX), "flags", "sign")
+ENVELOPE_COLUMNS = ("capture", "target", *_MM, *(f"sd_{name}" for name in _MM), "residual_ratio", "flags", "sign")
 
 
 def _number(value: float) -> float | None:
@@ -38,8 +38,8 @@ def _flags(flags: Iterable[Flag]) -> list[str]:
     return [flag.value for flag in Flag if flag in present]
 
 
-def measurement_row(capture: str, camera: str, measurement: Measurement) -> Row:
-    """One row of `measurements.csv`; empty numbers where the target was not measured."""
+def measurement_row(capture: str, camera: str, measurement: Measurement, sign: int = 0) -> Row:
+    """One row of `measurements.csv`; empty numbers where the target was not measured, no sign where it is 0."""
     values = np.concatenate([measurement.centre_px, measurement.a_px, measurement.b_px])
     with np.errstate(invalid="ignore"):
         sds = np.sqrt(np.diag(measurement.covariance_px2))
@@ -47,11 +47,12 @@ def measurement_row(capture: str, camera: str, measurement: Measurement) -> Row:
     row.update({name: _number(value) for name, value in zip(_PX, values, strict=True)})
     row.update({f"sd_{name}": _number(value) for name, value in zip(_PX, sds, strict=True)})
     row["flags"] = _flags(measurement.flags)
+    row["sign"] = sign or None
     return row
 
 
-def envelope_row(capture: str, target: str, motion: ObjectMotion | None, flags: Iterable[Flag]) -> Row:
-    """One row of `envelope.csv`; `motion` None where the target could not be measured."""
+def envelope_row(capture: str, target: str, motion: ObjectMotion | None, flags: Iterable[Flag], sign: int = 0) -> Row:
+    """One row of `envelope.csv`; `motion` None where the target could not be measured, `sign` 0 where unknown."""
     nothing = np.full(9, np.nan)
     values, sds, ratio = nothing, nothing, None
     if motion is not None:
@@ -64,6 +65,7 @@ def envelope_row(capture: str, target: str, motion: ObjectMotion | None, flags: 
     row.update({f"sd_{name}": _number(value) for name, value in zip(_MM, sds, strict=True)})
     row["residual_ratio"] = None if ratio is None else _number(ratio)
     row["flags"] = _flags(flags)
+    row["sign"] = sign or None
     return row
 
 
@@ -74,15 +76,18 @@ def _cell(value: Value) -> str:
         return ";".join(value)
     if isinstance(value, float):
         return f"{value:.6f}"
-    return value
+    return str(value)
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Row]) -> str:
-    """The file's text: header, one line a row, six decimals, empty where there is no number."""
+    """The file's text: header, one line a row, six decimals, empty where there is no number.
+
+    Rows that a journal kept from before there were signs have none.
+    """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([_cell(row[column]) for column in columns] for row in rows)
+    writer.writerows([_cell(({"sign": None} | row)[column]) for column in columns] for row in rows)
     return out.getvalue()
 
 

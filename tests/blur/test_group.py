@@ -3,6 +3,7 @@ import pytest
 
 from labdaemon.blur import Dot, ExtraBlur, Window, fit_sharp, measure_group
 from labdaemon.errors import UsageError
+from labdaemon.flags import Flag
 
 STILL = ExtraBlur(0.0, 0.01)
 
@@ -57,6 +58,48 @@ def test_whole_cycles_hold_no_phase_and_are_averaged(area, sharp):
     assert not found.phased
     assert not found.flags
     assert np.hypot(*(found.a_px - (3.0, 0.5))) < 0.03
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_motion_too_small_for_its_phase_is_unflagged_and_says_how_little_is_known(area, sharp, seed):
+    scene, motion, phases = area.Scene(radius_px=12.0), (0.3, 0.1, -0.35, -0.12), (0.4, 0.4 + np.pi / 2)
+    pictures = [
+        area.render(scene, (64, 66), (33, 31), area.part_cycles(*motion, 5.5, p), seed=10 * seed + i, samples=440)
+        for i, p in enumerate(phases)
+    ]
+    found = measure_group(sharp, pictures, [Window(5.5, 1.0, p) for p in phases], extra_blur=STILL)
+    assert not found.flags
+    got, sd = np.concatenate((found.a_px, found.b_px)), np.sqrt(np.diag(found.covariance_px2)[2:])
+    assert np.all(np.abs(got - motion) < 3 * sd)
+    assert abs(np.linalg.norm(got) - np.linalg.norm(motion)) < 0.1
+    assert np.max(sd) > 0.1
+    assert found.axes is not None
+    assert not found.axes.phased
+    assert abs(np.hypot(*found.axes.a_px) - np.linalg.norm(motion)) < 0.1
+    assert np.hypot(*np.sqrt(np.diag(found.axes.covariance_px2)[2:4])) < 0.1
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_small_orbit_is_unflagged_within_its_deviations(area, sharp, seed):
+    scene, motion, phases = area.Scene(radius_px=12.0), (1.0, 0.3, -0.2, 0.6), (0.4, 0.4 + np.pi / 2)
+    pictures = [
+        area.render(scene, (64, 66), (33, 31), area.part_cycles(*motion, 5.5, p), seed=10 * seed + i, samples=440)
+        for i, p in enumerate(phases)
+    ]
+    found = measure_group(sharp, pictures, [Window(5.5, 1.0, p) for p in phases], extra_blur=STILL)
+    assert not found.flags
+    got, sd = np.concatenate((found.a_px, found.b_px)), np.sqrt(np.diag(found.covariance_px2)[2:])
+    assert np.all(np.abs(got - motion) < 4 * sd + 0.02)
+    true_axes = np.linalg.svd(np.reshape(motion, (2, 2)), compute_uv=False)
+    np.testing.assert_allclose(np.linalg.svd(got.reshape(2, 2), compute_uv=False), true_axes, atol=0.08)
+
+
+def test_a_single_frame_of_a_group_has_a_mirror_image(area, sharp):
+    found = measure_group(
+        sharp, frames(area, (3.0, 1.0, 0.0, 0.0), 5.5, (0.9,)), [Window(5.5, 1.0, 0.9)], extra_blur=STILL
+    )
+    assert Flag.AMBIGUOUS in found.flags
+    assert abs(np.linalg.norm([*found.a_px, *found.b_px]) - np.sqrt(10)) < 0.05
 
 
 def test_a_group_needs_its_phases(area, sharp):

@@ -214,3 +214,35 @@ def test_frames_of_two_cameras_swapped(stereo: Path, tmp_path: Path) -> None:
     (folder / "t.dng").rename(right)
     with pytest.raises(DataError, match=r"captures/c1/left\.dng: .*is the frame from this camera"):
         measure_capture(folder, prepare_sharp(folder), ("c1",), "c1")
+
+
+@pytest.mark.parametrize(("cameras", "tell"), [(1, "window"), (2, "all")])
+def test_one_part_cycle_capture_gives_signs(tmp_path: Path, pool: WorkerPool, cameras: int, tell: str) -> None:
+    """Of targets that move in phase: where each stood at the middle of the exposure, from the phase they share."""
+    folder = make_folder(
+        tmp_path / "set",
+        seed=63 + cameras,
+        cameras=cameras,
+        targets=12,
+        amplitude_mm=(1.0, 3.0),
+        in_phase=True,
+        exposure_s=1.1,
+        tell=tell,
+    )
+    result = process_folder(folder, tmp_path / "out", pool=pool)
+    rows = [row for row in result.captures[0].envelope_rows if row["x_mm"] is not None]
+    places = np.array([vector(row, "x_mm", "y_mm", "z_mm") for row in rows])
+    stated = 0
+    for true in truth(folder):
+        nearest = np.argmin(np.linalg.norm(places - vector(true, "x_mm", "y_mm", "z_mm"), axis=1))
+        row = rows[int(nearest)]
+        assert ("part_cycles" in row["flags"]) == (tell == "window")  # type: ignore[operator]
+        if row["sign"] is None:
+            continue
+        stated += 1
+        middle = np.pi * 5.5
+        stood = vector(true, "ax", "ay", "az") * np.sin(middle) + vector(true, "bx", "by", "bz") * np.cos(middle)
+        assert float(str(row["sign"])) * (np.nan_to_num(vector(row, "ax_mm", "ay_mm", "az_mm")) @ stood) > 0
+    assert stated >= 9
+    with (result.out / "measurements.csv").open(newline="") as file:
+        assert {row["sign"] for row in csv.DictReader(file)} >= {"1", "-1"}

@@ -25,11 +25,11 @@ from labdaemon.processing.tables import (
 
 def test_columns_are_the_contract_s() -> None:
     assert ",".join(MEASUREMENT_COLUMNS) == (
-        "capture,camera,target,x_px,y_px,ax_px,ay_px,bx_px,by_px,sd_x_px,sd_y_px,sd_ax_px,sd_ay_px,sd_bx_px,sd_by_px,flags"
+        "capture,camera,target,x_px,y_px,ax_px,ay_px,bx_px,by_px,sd_x_px,sd_y_px,sd_ax_px,sd_ay_px,sd_bx_px,sd_by_px,flags,sign"
     )
     assert ",".join(ENVELOPE_COLUMNS) == (
         "capture,target,x_mm,y_mm,z_mm,ax_mm,ay_mm,az_mm,bx_mm,by_mm,bz_mm,sd_x_mm,sd_y_mm,sd_z_mm,"
-        "sd_ax_mm,sd_ay_mm,sd_az_mm,sd_bx_mm,sd_by_mm,sd_bz_mm,residual_ratio,flags"
+        "sd_ax_mm,sd_ay_mm,sd_az_mm,sd_bx_mm,sd_by_mm,sd_bz_mm,residual_ratio,flags,sign"
     )
 
 
@@ -48,16 +48,27 @@ def test_a_measurement_s_row() -> None:
     row = measurement_row("c1", "left", measurement())
     assert [row[f"sd_{k}_px"] for k in ("x", "y", "ax", "ay", "bx", "by")] == [1, 2, 3, 4, 5, 6]
     assert row["flags"] == ["saturated", "poor_fit"]
-    assert csv_text(MEASUREMENT_COLUMNS, [row]).splitlines()[1].endswith(",saturated;poor_fit")
+    assert csv_text(MEASUREMENT_COLUMNS, [row]).splitlines()[1].endswith(",saturated;poor_fit,")
+
+
+def test_a_sign_is_the_last_column_and_empty_where_unknown() -> None:
+    row = measurement_row("c1", "left", measurement(), -1)
+    assert row["sign"] == -1
+    assert csv_text(MEASUREMENT_COLUMNS, [row]).splitlines()[1].endswith(",-1")
+    assert measurement_row("c1", "left", measurement())["sign"] is None
+    row = envelope_row("c1", "T01", None, [], 1)
+    assert json.dumps(row["sign"]) == "1"
+    del row["sign"]  # as a journal has it from before there were signs
+    assert csv_text(ENVELOPE_COLUMNS, [row]).splitlines()[1].endswith(",")
 
 
 def test_what_was_not_measured_is_empty_never_a_number() -> None:
     nan = np.full(2, np.nan)
     lost = Measurement("T01", nan, nan, nan, np.full((6, 6), np.nan), flags=frozenset({Flag.NOT_FOUND}))
     text = csv_text(MEASUREMENT_COLUMNS, [measurement_row("c1", "left", lost)])
-    assert text.splitlines()[1] == "c1,left,T01" + "," * 12 + ",not_found"
+    assert text.splitlines()[1] == "c1,left,T01" + "," * 12 + ",not_found,"
     text = csv_text(ENVELOPE_COLUMNS, [envelope_row("c1", "T01", None, [Flag.NOT_FOUND])])
-    assert text.splitlines()[1] == "c1,T01" + "," * 19 + ",not_found"
+    assert text.splitlines()[1] == "c1,T01" + "," * 19 + ",not_found,"
 
 
 def test_one_camera_leaves_the_normal_s_sd_empty() -> None:

@@ -30,6 +30,7 @@ def make_folder(
     diameters_mm: Sequence[float] = (8.0,),
     amplitude_mm: tuple[float, float] = (0.3, 3.0),
     orbit: float = 0.0,
+    in_phase: bool = False,
     captures: int = 1,
     frequency_hz: float = 5.0,
     exposure_s: float = 1.0,
@@ -73,6 +74,8 @@ def make_folder(
         Smallest and largest semi-amplitude; drawn evenly in their logarithm.
     orbit
         Ratio of minor to major semi-axis, 0 for straight paths.
+    in_phase
+        All targets of a capture move in or against one phase, as a structure does in one of its modes.
     captures
         How many, each with motions of its own.
     frequency_hz, exposure_s
@@ -161,7 +164,9 @@ def make_folder(
             _write(folder / "sharp" / f"{name}{suffix}.dng", sharp.mosaic, sensor, 1.0)
     rows = ["capture,target,x_mm,y_mm,z_mm,ax,ay,az,bx,by,bz,diameter_mm"]
     for index in range(captures):
-        motions = random_motions(layout.scene, rng, amplitude_mm, orbit, frequency_hz, rest_offset_mm, cameras == 1)
+        motions = random_motions(
+            layout.scene, rng, amplitude_mm, orbit, frequency_hz, rest_offset_mm, cameras == 1, in_phase
+        )
         label = f"c{index + 1}"
         shots = [(label, 0.0)] if phase_rad is None else [(f"{label}-{k + 1}", p) for k, p in enumerate(phase_rad)]
         for shot, (capture, opening) in enumerate(shots):

@@ -41,6 +41,7 @@ def random_motions(
     frequency_hz: float,
     offset_sd_mm: float,
     planar: bool,
+    in_phase: bool = False,
 ) -> dict[str, Harmonic]:
     """A motion for each target.
 
@@ -54,8 +55,11 @@ def random_motions(
         Standard deviation of each component of the mean's distance from rest.
     planar
         Keep to the plane of x and z.
+    in_phase
+        One phase for all, as in a standing motion; which way each goes first stays random.
     """
     motions: dict[str, Harmonic] = {}
+    common = rng.uniform(0.0, 2.0 * np.pi) if in_phase else None
     for target in scene.targets:
         major = float(np.exp(rng.uniform(*np.log(amplitude_mm))))
         axes = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
@@ -65,7 +69,7 @@ def random_motions(
         offset = rng.normal(0.0, 1.0, 3) * offset_sd_mm * (1.0, 0.0 if planar else 1.0, 1.0)
         u, v = major * axes[0], major * orbit * axes[1]
         # where the point is on its orbit at the excitation's zero: any phase
-        phase = rng.uniform(0.0, 2.0 * np.pi)
+        phase = common if common is not None else rng.uniform(0.0, 2.0 * np.pi)
         a, b = u * np.cos(phase) - v * np.sin(phase), u * np.sin(phase) + v * np.cos(phase)
         motions[target.name] = Harmonic(frequency_hz, a, b, offset)
     return motions
