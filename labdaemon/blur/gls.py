@@ -73,15 +73,15 @@ def weigh_grain(
     grain = _Grain.seen(sharp, planes, solution, moment_px2, signal, interleave(planes, level))
     left = planes.values - solution.signal
     extra = [solution.signal * bend for bend in _bends(planes)] + [_dealt(planes, one) for one in grain.pictures]
-    wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), np.stack(extra), left[None]))
-    free = interleave(planes, _without_light(wanted, columns[:, k:], weight))
+    wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), single(np.stack((*extra, left)))))
+    free = interleave(planes, _without_light(wanted, columns[:, k:], single(weight)))
     size = tuple(int(fft.next_fast_len(length + MARGIN_PX, real=True)) for length in root.shape)
     share = grain.share(free[k + 3 : -1], free[-1], root)
     spectrum = grain.spectrum(share, size)
     paper = root > 0
     ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
     keep = 1 / (1 + ratio * spectrum)
-    waves = fft.rfft2(single(free * root), s=size)
+    waves = fft.rfft2(free * single(root), s=size)
     normal = _power(waves[:-1], waves, keep, size)
     count = len(free) - 1
     precision, pull = np.zeros((count, count)), np.zeros(count)
@@ -196,8 +196,8 @@ def _without_light(pictures: FloatArray, light: FloatArray, weight: FloatArray) 
     own, w = light.reshape(n, 4, -1), weight.reshape(n, 1, -1)
     flat = pictures.swapaxes(0, 1).reshape(n, len(pictures), -1)
     scaled = own * w
-    normal = scaled @ own.transpose(0, 2, 1)
-    part = np.linalg.solve(normal + ridge(normal, 1e-12), scaled @ flat.transpose(0, 2, 1))
+    normal = (scaled @ own.transpose(0, 2, 1)).astype(np.float64)
+    part = np.linalg.solve(normal + ridge(normal, 1e-12), scaled @ flat.transpose(0, 2, 1)).astype(flat.dtype)
     result: FloatArray = (flat - part.transpose(0, 2, 1) @ own).reshape(n, len(pictures), *weight.shape[1:])
     return result.swapaxes(0, 1)
 

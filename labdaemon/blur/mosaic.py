@@ -165,7 +165,7 @@ def interleave(planes: Planes, values: FloatArray) -> FloatArray:
     count = step * step
     *lead, n, height, width = values.shape
     frames = n // count
-    result = np.zeros((*lead, step * height, step * width * frames))
+    result = np.zeros((*lead, step * height, step * width * frames), dtype=values.dtype)
     for index in range(n):
         ox, oy = (planes.offset_px[index] - planes.offset_px[index - index % count]).astype(int)
         left = step * width * (index // count)
