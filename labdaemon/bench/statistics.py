@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from labdaemon.bench.bound import BoundTable
 from labdaemon.bench.pairs import Pair
@@ -36,6 +37,8 @@ class Figures:
         Error of the direction, above `SEEN_MM`.
     direction_ratio, direction_bound_deg
         Root mean squares of that error over its Cramér–Rao bound, and of the bound.
+    ideal_p95_mm, ideal_direction_p95_deg
+        What 95 % of the errors of all, and of the directions above `SEEN_MM`, would lie within at the bound itself.
     minor_p95_mm
         95 % of the errors of the minor semi-axis lie within this.
     relative_p95
@@ -54,6 +57,8 @@ class Figures:
     direction_p95_deg: float
     direction_ratio: float
     direction_bound_deg: float
+    ideal_p95_mm: float
+    ideal_direction_p95_deg: float
     minor_p95_mm: float
     relative_p95: float
 
@@ -76,6 +81,7 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
     bound = np.array(limits, dtype=float)
     over = [pair.error_mm / limit for pair, limit in zip(moving, bound, strict=False)]
     direction_bound = [bounds.direction_deg(pair.diameter_mm, pair.true_mm) for pair in moving] if bounds else []
+    every = [bounds.at(pair.diameter_mm, pair.true_mm) for pair in good] if bounds else []
     direction = [pair.direction_error_deg for pair in moving]
     return Figures(
         targets=len(pairs),
@@ -90,6 +96,8 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
         direction_p95_deg=_quantile(direction, 0.95),
         direction_ratio=_rms([error / limit for error, limit in zip(direction, direction_bound, strict=False)]),
         direction_bound_deg=_rms(direction_bound),
+        ideal_p95_mm=_normal_quantile(every, 0.95),
+        ideal_direction_p95_deg=_normal_quantile(direction_bound, 0.95),
         minor_p95_mm=_quantile([abs(pair.minor_error_mm) for pair in good], 0.95),
         relative_p95=_quantile([abs(pair.error_mm) / pair.true_mm for pair in moving], 0.95),
     )
@@ -108,3 +116,16 @@ def _rms(values: Sequence[float] | FloatArray) -> float:
 def _quantile(values: Sequence[float] | FloatArray, share: float) -> float:
     array = np.asarray(values, float)
     return float(np.quantile(array, share)) if array.size else math.nan
+
+
+def _normal_quantile(sds: Sequence[float], share: float) -> float:
+    """What a share of the absolute values of independent normal errors with these deviations lies within."""
+    if not sds:
+        return math.nan
+    sd = np.asarray(sds, float)
+    low, high = 0.0, 6.0 * float(sd.max())
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        inside = float(np.mean(special.erf(middle / (math.sqrt(2.0) * sd))))
+        low, high = (middle, high) if inside < share else (low, middle)
+    return high

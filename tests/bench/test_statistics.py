@@ -30,6 +30,8 @@ def test_mean_spread_pulls_and_bound() -> None:
     assert f.pull_rms == pytest.approx(math.hypot(1.0, 0.2), rel=0.05)
     assert f.bound_ratio == pytest.approx(2.0 * math.hypot(1.0, 0.2), rel=0.05)
     assert f.bound_mm == pytest.approx(0.005)
+    assert f.ideal_p95_mm == pytest.approx(1.96 * 0.005, rel=1e-3)
+    assert f.ideal_direction_p95_deg == pytest.approx(1.96 * math.degrees(math.atan(0.01)), rel=1e-3)
     assert f.relative_p95 == pytest.approx(f.p95_mm)
     assert f.direction_p95_deg == pytest.approx(0.0, abs=1e-6)
 
