@@ -61,8 +61,8 @@ def _fig13(pooled: CaseResult, result: AccuracyResult) -> list[str]:
     )
     text.append(
         f"direction above {SEEN_MM} mm (1 px): median {ours.direction_p50_deg:.3f}°, 95 % within "
-        f"{ours.direction_p95_deg:.2f}° (goal 0.2°; at the bound {ours.ideal_direction_p95_deg:.2f}°); rms {ours.direction_ratio:.2f} x its bound, which is "
-        f"{ours.direction_bound_deg:.3f}° rms"
+        f"{ours.direction_p95_deg:.2f}° (goal 0.2°; at the bound {ours.ideal_direction_p95_deg:.2f}°); "
+        f"rms {ours.direction_ratio:.2f} x its bound, which is {ours.direction_bound_deg:.3f}° rms"
     )
     return text
 
