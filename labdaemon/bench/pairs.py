@@ -34,6 +34,8 @@ class Pair:
         Stated standard deviation of the major semi-axis' length.
     flags
         As reported.
+    pulls
+        Error over stated standard deviation of each component of the major semi-axis that has one.
     """
 
     diameter_mm: float
@@ -43,6 +45,7 @@ class Pair:
     b: FloatArray
     sd_mm: float
     flags: frozenset[str]
+    pulls: tuple[float, ...] = ()
 
     @property
     def compared(self) -> bool:
@@ -129,11 +132,21 @@ def _pair(true: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Pair:
         b,
         _sd(found, a, b),
         frozenset(found["flags"]) if found else frozenset({"not_found"}),
+        _pulls(found, a, _vector(true, "a", ""), _vector(true, "b", "")),
     )
 
 
-def _vector(row: Mapping[str, Any], prefix: str) -> FloatArray:
-    values = [row.get(f"{prefix}{axis}_mm") for axis in "xyz"]
+def _pulls(row: Mapping[str, Any], a: FloatArray, true_a: FloatArray, true_b: FloatArray) -> tuple[float, ...]:
+    """Of the components of an unphased a, whose sign is arbitrary."""
+    if not np.isfinite(a).all():
+        return ()
+    major, sd = axes(true_a, true_b)[0], _vector(row, "sd_a")
+    error = a - math.copysign(1.0, float(major @ a)) * major
+    return tuple(float(e / s) for e, s in zip(error, sd, strict=True) if np.isfinite(s) and s > 0)
+
+
+def _vector(row: Mapping[str, Any], prefix: str, unit: str = "_mm") -> FloatArray:
+    values = [row.get(f"{prefix}{axis}{unit}") for axis in "xyz"]
     return np.array([math.nan if value is None else float(value) for value in values])
 
 

@@ -28,7 +28,7 @@ class Figures:
     mean_mm, sd_mm, p95_mm
         Of the error; the last bounds 95 % of the absolute errors.
     pull_rms
-        Root mean square of error over stated standard deviation, for targets not at rest.
+        Root mean square of error over stated standard deviation, for the components of targets not at rest.
     bound_ratio
         Root mean square of error over the Cramér–Rao bound, above `SEEN_MM`.
     bound_mm
@@ -76,7 +76,7 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
     good = [pair for pair in pairs if pair.compared]
     moving = [pair for pair in good if pair.true_mm >= SEEN_MM]
     error = np.array([pair.error_mm for pair in good])
-    pulls = [pair.error_mm / pair.sd_mm for pair in good if "at_rest" not in pair.flags and pair.sd_mm > 0]
+    pulls = [pull for pair in good if "at_rest" not in pair.flags for pull in pair.pulls]
     limits = [bounds.at(pair.diameter_mm, pair.true_mm) for pair in moving] if bounds else []
     bound = np.array(limits, dtype=float)
     over = [pair.error_mm / limit for pair, limit in zip(moving, bound, strict=False)]

@@ -49,9 +49,11 @@ def test_each_target_meets_the_nearest_report_of_its_own_capture() -> None:
     near, other, missing = pair_up(truth, rows)
     assert near.error_mm == pytest.approx(0.004)
     assert near.sd_mm == pytest.approx(0.003)
+    assert near.pulls == pytest.approx((0.004 / 0.003, 0.0))
     assert near.direction_error_deg == pytest.approx(0.0)
     assert other.error_mm == pytest.approx(-0.5)
     assert not missing.compared
+    assert missing.pulls == ()
     assert missing.flags == {"not_found"}
 
 

@@ -17,7 +17,9 @@ def pairs_with(
 ) -> list[Pair]:
     zero = np.zeros(3)
     direction = np.array([0.6, 0.0, 0.8])
-    return [Pair(8.0, amplitude * direction, zero, (amplitude + e) * direction, zero, sd, flags) for e in errors]
+    return [
+        Pair(8.0, amplitude * direction, zero, (amplitude + e) * direction, zero, sd, flags, (e / sd,)) for e in errors
+    ]
 
 
 def test_mean_spread_pulls_and_bound() -> None:
