@@ -13,7 +13,8 @@ from labdaemon.blur.paper import measure_paper
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
-from labdaemon.imaging.frame import Grey, RawFrame
+from labdaemon.imaging.frame import RawFrame
+from labdaemon.imaging.lazily import LazyPicture
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.group import holds_phase, mean_of
 from labdaemon.processing.prepare import PreparedCamera
@@ -107,7 +108,7 @@ def measure_raw(
     method: str = "fit",
 ) -> FrameResult:
     """Measure frames that are already read; otherwise as `measure_frames`."""
-    greys = [frame.grey() for frame in frames]
+    greys = [frame.look() for frame in frames]
     shifts = [frame_shift(frame, grey, camera.control) for frame, grey in zip(frames, greys, strict=True)]
     # First of all: a frame of another camera would only be searched in vain.
     motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
@@ -128,7 +129,7 @@ def measure_raw(
     )
 
 
-def _look(camera: PreparedCamera, frame: RawFrame, grey: Grey, shift: FrameShift) -> _Look:
+def _look(camera: PreparedCamera, frame: RawFrame, grey: LazyPicture, shift: FrameShift) -> _Look:
     if camera.thumbnails:
         smears: list[Smear | None] = []
         for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):

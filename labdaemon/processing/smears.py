@@ -14,11 +14,12 @@ from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from labdaemon.blur.pixels import FloatArray
+from labdaemon.imaging.lazily import LazyPicture, Picture
 
-Picture = NDArray[np.float32]
+Look = Picture | LazyPicture
+"""A picture, or one that is made where it is looked at."""
 
 MARGIN = 0.7
 """White paper that a filter wants to see around the smear, in dot radii."""
@@ -105,7 +106,7 @@ def _picture(semi_major: float, semi_minor: float, angle_rad: float, a: FloatArr
 
 
 def best_smear(
-    reduced: Picture, scale: int, expected_px: FloatArray, reach_px: float, shapes: tuple[Filter, ...]
+    reduced: Look, scale: int, expected_px: FloatArray, reach_px: float, shapes: tuple[Filter, ...]
 ) -> Smear | None:
     """Find the most dot-like place within `reach_px` (in x and in y) of where a target is expected.
 
@@ -158,7 +159,7 @@ class _Match:
         return self.left + w // 2, self.top + h // 2
 
 
-def _best_match(reduced: Picture, shapes: Sequence[Filter], cx: int, cy: int, reach: int) -> _Match | None:
+def _best_match(reduced: Look, shapes: Sequence[Filter], cx: int, cy: int, reach: int) -> _Match | None:
     """The best of some filters within `reach` reduced pixels of a place; None where none of them fits in the frame."""
     best: _Match | None = None
     for shape in shapes:
@@ -175,7 +176,7 @@ def _best_match(reduced: Picture, shapes: Sequence[Filter], cx: int, cy: int, re
     return best
 
 
-def _climbed(reduced: Picture, shapes: tuple[Filter, ...], best: _Match, middle: tuple[int, int], reach: int) -> _Match:
+def _climbed(reduced: Look, shapes: tuple[Filter, ...], best: _Match, middle: tuple[int, int], reach: int) -> _Match:
     """From a coarse match to the best of its neighbours in motion and place, until none is better."""
     tried = {id(best.shape)}
     while True:
@@ -236,7 +237,7 @@ def all_smears(reduced: Picture, scale: int, shapes: tuple[Filter, ...], least_s
     return sorted(found, key=lambda smear: -smear.score)
 
 
-def _contrast(reduced: Picture, shape: Filter, left: int, top: int) -> float:
+def _contrast(reduced: Look, shape: Filter, left: int, top: int) -> float:
     """Paper less ink by least squares."""
     h, w = shape.picture.shape
     values = reduced[top : top + h, left : left + w].ravel()
