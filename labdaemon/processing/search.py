@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from labdaemon.blur.pixels import FloatArray
-from labdaemon.imaging.lazily import TILE, LazyPicture, Picture
+from labdaemon.imaging.lazily import LazyPicture, Picture
 from labdaemon.processing.smears import Filter, Look, Smear, all_smears, best_smear, filters, reduce
 
 LEAST_SCORE = 0.6
@@ -95,7 +95,7 @@ def reduced_for(grey: Look, targets: Sequence[Sought]) -> Reduced:
         return reduce(grey[y0 * scale : y1 * scale, x0 * scale : x1 * scale], scale) / unit
 
     height, width = grey.shape
-    return Reduced(LazyPicture((height // scale, width // scale), make, sample / unit, tile=TILE // scale), scale)
+    return Reduced(LazyPicture((height // scale, width // scale), make, sample / unit), scale)
 
 
 def measure_contrast(grey: Look, targets: Sequence[Sought]) -> FloatArray:
