@@ -206,7 +206,9 @@ class RawFrame:
 def _tile(pattern: NDArray[T], x0: int, y0: int, w: int, h: int) -> NDArray[T]:
     """Repeat `pattern`, whose origin is pixel (0, 0), over a rectangle."""
     ph, pw = pattern.shape
-    return pattern[np.ix_(np.arange(y0, y0 + h) % ph, np.arange(x0, x0 + w) % pw)]
+    # One axis after the other: whole rows are copied at once.
+    result: NDArray[T] = pattern.take(np.arange(x0, x0 + w) % pw, axis=1).take(np.arange(y0, y0 + h) % ph, axis=0)
+    return result
 
 
 def mean_frame(frames: Sequence[RawFrame]) -> RawFrame:

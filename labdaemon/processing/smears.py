@@ -33,7 +33,7 @@ ISLAND = 0.1
 """Darkness, in parts of the darkest, by which a smear stands out as an island in white paper."""
 SHORT = 1.75
 """Semi-amplitude in dot radii up to which a smaller window is looked at, first."""
-ALIKE = 10
+ALIKE = 7
 """Filters tried around the best one so far."""
 NEAR = 2
 """How far from the place of the best one they are tried, reduced pixels."""
