@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from labdaemon.blur.beside import is_plain_dot, measure_beside
 from labdaemon.blur.cover import uncovered, why_nothing
 from labdaemon.blur.declared import measure_declared
 from labdaemon.blur.defocus import default_blur
@@ -65,8 +66,6 @@ def measure(
     if start is None and camera_shift_px is not None:
         expected = expected + camera_shift_px
     setting = prepare(sharp, patch, expected)
-    if setting is None:
-        return nothing(sharp.name, why_nothing(sharp, patch, expected))
     blur = extra_blur if extra_blur is not None else default_blur(sharp)
     part = 0.0 if window is None else abs(window.cycles - round(window.cycles))
 
@@ -78,7 +77,12 @@ def measure(
         flags = {Flag.PART_CYCLES} if part > PART else set()
         return measure_whole_cycles(sharp, patch, setting, blur, orbit=orbit, flags=flags)
 
-    found = fit(setting)
-    if found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags and Flag.POOR_FIT not in sharp.flags:
-        return uncovered(sharp, setting, found, fit)
-    return found
+    found = fit(setting) if setting is not None else nothing(sharp.name, why_nothing(sharp, patch, expected))
+    if setting is not None and not (found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags):
+        return found
+    if Flag.POOR_FIT in sharp.flags:
+        return found
+    if is_plain_dot(sharp):
+        beside = measure_beside(sharp, patch, [expected, sharp.centre_px], blur, fit)
+        return beside if beside is not None else found
+    return uncovered(sharp, setting, found, fit) if setting is not None else found
