@@ -16,6 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from labdaemon.blur import shapes
+from labdaemon.blur.cover import fixed
 from labdaemon.blur.locate import Blob
 from labdaemon.blur.model import Setting, blurred_model
 from labdaemon.blur.mosaic import Planes, interleave, make_grid, split
@@ -43,7 +44,11 @@ MARGINS = (2, 4)
 LEAST_SEEN = 0.03
 """Part of the smear's darkness that must be in view."""
 MISSING = 0.08
-"""Part of the target's darkness that no motion takes away."""
+"""Part of the target's darkness that no motion takes away or adds."""
+RIM_PART = 0.3
+"""Part of the motion by which another motion's outline may differ."""
+GONE = 0.85
+"""Part of it that is missing where there is no target at all, or nothing to be seen of it."""
 CONTRAST_PART = 0.12
 """How far the contrast may differ from the sharp frame's: a cover that is taken for a dot has another."""
 LOOSE_PX, LOOSE_PART = 0.3, 0.05
@@ -52,21 +57,18 @@ LOOSE_PX, LOOSE_PART = 0.3, 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A motion fitted to what agrees with it.
+    """A smear beside what the patch shows.
 
     Attributes
     ----------
-    solution
-        x, y, extra variance, shape…, ax, ay.
     dark
-        (H, W) its smear, 0 on paper.
+        (H, W) the smear, 0 on paper.
     looks
         (H, W) how dark the patch is.
     odd
-        (H, W) bool, what differs from it.
+        (H, W) bool, where they differ.
     """
 
-    solution: Solution
     dark: FloatArray
     looks: FloatArray
     odd: BoolArray
@@ -82,6 +84,7 @@ def measure_beside(
     patch: Patch,
     places_px: list[FloatArray],
     blur: ExtraBlur,
+    found: Measurement,
     fit: Callable[[Setting], Measurement],
 ) -> Measurement | None:
     """Measure a target of which something hides a part.
@@ -92,6 +95,8 @@ def measure_beside(
         The target, its patch, the frame's defocus.
     places_px
         Where it may be.
+    found
+        What a fit of the whole patch says, if it says anything.
     fit
         Measures what a setting shows.
 
@@ -108,19 +113,27 @@ def measure_beside(
     setting = _around(sharp, patch, places_px) if places_px else None
     if setting is None:
         return None
-    seen = _agreement(sharp, setting, places_px, blur)
+    planes = setting.planes
+    best = _agreement(sharp, setting, places_px, blur)
+    seen = _seen(sharp, planes, best.light, blurred_model(setting, shapes.straight)(best.p)[0])
     if not _is_cover(seen):
         return None
+    if np.isfinite(found.centre_px).all():
+        at = np.concatenate((found.centre_px, [found.extra_blur_px2], np.zeros(len(setting.by_shape))))
+        whole = _seen(sharp, planes, best.light, blurred_model(setting, fixed(found))(at)[0])
+        # A fit that went astray says nothing.
+        if abs(float(whole.dark.sum()) / float(seen.dark.sum()) - 1) < MISSING and not _is_cover(whole):
+            return None
     lost = nothing(sharp.name, {Flag.OCCLUDED, Flag.NOT_FOUND})
-    if not _is_target(sharp, setting.planes, seen):
+    if not _is_target(sharp, planes, best):
         return lost
-    found = []
+    rest = []
     for margin in MARGINS:
         hidden = ndimage.binary_dilation(seen.odd, iterations=margin)
         if seen.dark[~hidden].sum() < LEAST_SEEN * seen.dark.sum():
             return lost
-        found.append(fit(_without(setting, seen, hidden, sharp, blur)))
-    return _agreed(found[0], found[1], lost)
+        rest.append(fit(_without(setting, best, hidden, sharp, blur)))
+    return _agreed(rest[0], rest[1], lost)
 
 
 def _around(sharp: SharpTarget, patch: Patch, places_px: list[FloatArray]) -> Setting | None:
@@ -134,12 +147,14 @@ def _around(sharp: SharpTarget, patch: Patch, places_px: list[FloatArray]) -> Se
     if min(cut.shape) < 5 or np.count_nonzero(cut.valid) < 0.3 * cut.values.size:
         return None
     planes = split(cut)
+    if not planes.valid.any() or np.percentile(planes.values[planes.valid], 80) <= 0:
+        return None
     grid = make_grid((cut.shape[0] + 4, cut.shape[1] + 4), sharp.form.oversampling)
     spectra, by_shape = sharp.form.spectra(grid, planes.channel)
     return Setting(planes, grid, spectra, by_shape, np.asarray(places_px[0]), None)
 
 
-def _agreement(sharp: SharpTarget, setting: Setting, places_px: list[FloatArray], blur: ExtraBlur) -> _Seen:
+def _agreement(sharp: SharpTarget, setting: Setting, places_px: list[FloatArray], blur: ExtraBlur) -> Solution:
     """The straight motion that most pixels agree with."""
     planes = setting.planes
     k = len(setting.by_shape)
@@ -168,16 +183,21 @@ def _agreement(sharp: SharpTarget, setting: Setting, places_px: list[FloatArray]
         if best is None or remains < least:
             best, least = found, remains
     assert best is not None
-    dark = model(best.p)[0]
-    signal = render_light(planes, best.light, dark)
-    weight = base(np.maximum(signal, 0))
+    return best
+
+
+def _seen(sharp: SharpTarget, planes: Planes, light: FloatArray, dark: FloatArray) -> _Seen:
+    """Compare a smear with the patch."""
+    signal = render_light(planes, light, dark)
+    weight = pixel_weights(sharp, planes)(np.maximum(signal, 0))
     residual = interleave(planes, (planes.values - signal) * np.sqrt(weight))
     smooth = ndimage.uniform_filter(residual, 3) * 3.0
     odd = ndimage.binary_opening(np.abs(smooth) > ODD_SIGMAS, iterations=1)
     odd = ndimage.binary_closing(np.pad(odd, 3), iterations=2)[3:-3, 3:-3]
-    paper = light_level(planes, best.light)
-    looks = np.where(planes.valid, (1 - planes.values / paper) / best.light[:, 3, None, None], dark)
-    return _Seen(best, interleave(planes, dark), interleave(planes, looks), odd)
+    paper = light_level(planes, light)
+    depth = np.maximum(paper, 1e-9) * np.maximum(light[:, 3, None, None], 0.05)
+    looks = np.where(planes.valid, (paper - planes.values) / depth, dark)
+    return _Seen(interleave(planes, dark), interleave(planes, looks), odd)
 
 
 def _paper(sharp: SharpTarget, planes: Planes) -> FloatArray:
@@ -217,33 +237,37 @@ def _is_cover(seen: _Seen) -> bool:
     """Whether what differs is no part of another motion of the target.
 
     A motion that is not as assumed moves darkness about in the smear's half-dark rim. It touches neither the paper
-    around nor the core that is always covered, and it takes nothing away from the whole.
+    around nor the core that is always covered, and it leaves the whole as dark as it is.
     """
     area = float(seen.dark.sum())
-    radius = int(np.sqrt(area / np.pi))
-    smear = seen.dark > 0.02
-    outside = np.count_nonzero(seen.odd & ~ndimage.binary_dilation(smear, iterations=3))
-    core = np.count_nonzero(seen.odd & (seen.dark > 0.985))
-    around = ndimage.binary_dilation(smear, iterations=max(3, radius // 2))
-    missing = 1 - float(seen.looks[around].sum()) / area
-    return bool(outside > max(0.05 * area, 12) or core > max(0.05 * area, 8) or missing > MISSING)
+    radius = float(np.sqrt(max(area, 0.0) / np.pi))
+    smear, core = seen.dark > 0.02, seen.dark > 0.985
+    length = max((int(np.ptp(np.nonzero(smear.any(axis=axis)))) for axis in (0, 1)), default=0) if smear.any() else 0
+    # Another motion's outline may lie by a part of the motion beside this one's.
+    rim = 3 + int(RIM_PART * max(length / 2 - radius, 0.0))
+    outside = np.count_nonzero(seen.odd & ~ndimage.binary_dilation(smear, iterations=rim))
+    inside = np.count_nonzero(seen.odd & ndimage.binary_erosion(core, iterations=rim))
+    around = ndimage.binary_dilation(smear, iterations=max(rim, int(radius / 2)))
+    missing = 1 - float(seen.looks[around].sum()) / max(area, 1.0)
+    if missing > GONE:
+        return False
+    return bool(outside > max(0.05 * area, 12) or inside > max(0.02 * area, 8) or abs(missing) > MISSING)
 
 
-def _is_target(sharp: SharpTarget, planes: Planes, seen: _Seen) -> bool:
+def _is_target(sharp: SharpTarget, planes: Planes, solution: Solution) -> bool:
     """Whether the smear is as dark as the target's ink."""
-    solution = seen.solution
     known = np.array([sharp.contrast.get(int(channel), np.nan) for channel in planes.channel])
     ratio = solution.light[:, 3] / known
     return bool(np.abs(np.nanmedian(ratio) - 1) < CONTRAST_PART)
 
 
-def _without(setting: Setting, seen: _Seen, hidden: BoolArray, sharp: SharpTarget, blur: ExtraBlur) -> Setting:
+def _without(setting: Setting, solution: Solution, hidden: BoolArray, sharp: SharpTarget, blur: ExtraBlur) -> Setting:
     """The setting with the cover masked and the motion that was found to start from."""
     planes = setting.planes
     height, width = planes.values.shape[1:]
     step = planes.period
     rows = [hidden[int(oy) :: step, int(ox) :: step][:height, :width] for ox, oy in planes.offset_px]
-    p, a = seen.solution.p, seen.solution.p[-2:]
+    p, a = solution.p, solution.p[-2:]
     moment = sharp.form.moment_px2 + blur.mean_px2 * np.eye(2) + np.outer(a, a) / 2
     left, top = planes.origin_px
     blob = Blob(

@@ -83,6 +83,8 @@ def measure(
     if Flag.POOR_FIT in sharp.flags:
         return found
     if is_plain_dot(sharp):
-        beside = measure_beside(sharp, patch, [expected, sharp.centre_px], blur, fit)
-        return beside if beside is not None else found
+        places = [place for place in (found.centre_px, expected, sharp.centre_px) if np.isfinite(place).all()]
+        beside = measure_beside(sharp, patch, places, blur, found, fit)
+        if beside is not None:
+            return beside
     return uncovered(sharp, setting, found, fit) if setting is not None else found

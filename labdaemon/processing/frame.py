@@ -17,6 +17,7 @@ from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.lazily import LazyPicture
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.group import holds_phase, mean_of
+from labdaemon.processing.missing import expected_smears
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
 from labdaemon.processing.shift import FrameShift, frame_shift
@@ -183,18 +184,24 @@ def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
 
 
 def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> list[Measurement]:
-    found = [index for index, smear in enumerate(look.smears) if smear is not None]
-    smears = [smear for smear in look.smears if smear is not None]
-    measured = measure_frame(
-        [camera.targets[index] for index in found],
-        [_cut(look.frame, camera.targets[index], smear) for index, smear in zip(found, smears, strict=True)],
-        window=window,
-        extra_blur=look.shift.extra_blur,
-        starts=[Start(smear.centre_px, smear.a_px, smear.b_px) for smear in smears],
-    )
+    def measured(smears: dict[int, Smear]) -> dict[int, Measurement]:
+        found = measure_frame(
+            [camera.targets[index] for index in smears],
+            [_cut(look.frame, camera.targets[index], smear) for index, smear in smears.items()],
+            window=window,
+            extra_blur=look.shift.extra_blur,
+            starts=[Start(smear.centre_px, smear.a_px, smear.b_px) for smear in smears.values()],
+        )
+        return dict(zip(smears, found, strict=True))
+
     result = [nothing(target) for target in camera.targets]
-    for index, one in zip(found, measured, strict=True):
+    for index, one in measured({i: smear for i, smear in enumerate(look.smears) if smear is not None}).items():
         result[index] = one
+    # What was not found may be where its neighbours say, behind something. Anything else there is not this target.
+    rest_px = camera.centres_px + look.shift.at(camera.centres_px)
+    for index, one in measured(expected_smears(rest_px, look.smears)).items():
+        if Flag.OCCLUDED in one.flags:
+            result[index] = one
     return result
 
 
