@@ -52,7 +52,7 @@ GONE = 0.85
 CONTRAST_PART = 0.12
 """How far the contrast may differ from the sharp frame's: a cover that is taken for a dot has another."""
 LOOSE_PX, LOOSE_PART = 0.3, 0.05
-"""Standard deviation, in pixels or of the amplitude, of a measurement that is not worth giving."""
+"""Standard deviation, in pixels or of the amplitude, of a measurement that is not worth giving; twice that at rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,6 +286,7 @@ def _agreed(near: Measurement, far: Measurement, lost: Measurement) -> Measureme
     away = np.concatenate((near.centre_px - far.centre_px, sign * near.a_px - far.a_px, sign * near.b_px - far.b_px))
     covariance = far.covariance_px2 + np.outer(away, away)
     sd = float(np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[1]))
-    if Flag.AT_REST not in far.flags and sd > max(LOOSE_PX, LOOSE_PART * float(np.hypot(*far.a_px))):
+    loosest = 2 * LOOSE_PX if Flag.AT_REST in far.flags else max(LOOSE_PX, LOOSE_PART * float(np.hypot(*far.a_px)))
+    if sd > loosest:
         return lost
     return replace(far, covariance_px2=covariance, flags=far.flags | {Flag.OCCLUDED})
