@@ -65,6 +65,9 @@ def measure(
     expected = np.asarray(start.centre_px if start is not None else sharp.centre_px, dtype=np.float64)
     if start is None and camera_shift_px is not None:
         expected = expected + camera_shift_px
+    lit = patch.values[patch.valid & np.isfinite(patch.values)]
+    if not np.any(lit > 0):
+        return nothing(sharp.name, why_nothing(sharp, patch, expected))
     setting = prepare(sharp, patch, expected)
     blur = extra_blur if extra_blur is not None else default_blur(sharp)
     part = 0.0 if window is None else abs(window.cycles - round(window.cycles))
@@ -78,6 +81,8 @@ def measure(
         return measure_whole_cycles(sharp, patch, setting, blur, orbit=orbit, flags=flags)
 
     found = fit(setting) if setting is not None else nothing(sharp.name, why_nothing(sharp, patch, expected))
+    if setting is not None and setting.blob is None and _astray(sharp, expected, found):
+        return nothing(sharp.name, {Flag.NOT_FOUND})
     if setting is not None and not (found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags):
         return found
     if Flag.POOR_FIT in sharp.flags:
@@ -88,3 +93,9 @@ def measure(
         if beside is not None:
             return beside
     return uncovered(sharp, setting, found, fit) if setting is not None else found
+
+
+def _astray(sharp: SharpTarget, expected: FloatArray, found: Measurement) -> bool:
+    """Whether a texture's fit left the box that it was to be seen in: it found nothing like it there."""
+    moved = np.concatenate((found.centre_px - expected, found.a_px))
+    return not bool(np.all(np.abs(moved) <= np.tile(sharp.form.half_size_px, 2)))

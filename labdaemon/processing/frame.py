@@ -29,6 +29,8 @@ MOVED_PX = 1.0
 """Shift of a frame's control targets from which its measurements are flagged. Less is corrected and harms nothing."""
 PATCH_REACH_PX = 40
 """How far a textured patch may have moved."""
+PATCH_SCORE = 0.35
+"""Correlation below which it is not there: noise alone reaches 0.2 somewhere, a smear of its own size keeps 0.5."""
 
 
 def nothing(target: SharpTarget) -> Measurement:
@@ -135,7 +137,8 @@ def _look(camera: PreparedCamera, frame: RawFrame, grey: LazyPicture, shift: Fra
         smears: list[Smear | None] = []
         for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):
             moved, score = find_thumbnail(grey, thumbnail, PATCH_REACH_PX)
-            smears.append(Smear(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0))
+            seen = score >= PATCH_SCORE
+            smears.append(Smear(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0) if seen else None)
         return _Look(frame, shift, smears)
     moved = shift.at(camera.centres_px)
     sought = [replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.sought, moved, strict=True)]
