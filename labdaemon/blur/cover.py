@@ -75,7 +75,7 @@ def _odd_place(sharp: SharpTarget, setting: Setting, found: Measurement) -> Bool
     if not np.all(np.isfinite(at)):
         return None
     # Only the light is fitted to the motion that was found, over everything.
-    dark, _ = blurred_model(setting, _fixed(found))(at)
+    dark, _ = blurred_model(setting, fixed(found))(at)
     weight = pixel_weights(sharp, planes)(np.maximum(planes.values, 0))
     light = solve_light(planes, weight, dark)
     residual = interleave(planes, (planes.values - render_light(planes, light, dark)) * np.sqrt(weight))
@@ -103,7 +103,8 @@ def _alike_across(place: BoolArray, residual: FloatArray, centre: FloatArray) ->
     return bool(float(here @ there) > 0.3 * float(here @ here))
 
 
-def _fixed(found: Measurement) -> Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+def fixed(found: Measurement) -> Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """The motion that was found, as a model without parameters."""
     a, b = np.nan_to_num(found.a_px), np.nan_to_num(found.b_px)
     moment = np.array([a[0] ** 2 + b[0] ** 2, a[0] * a[1] + b[0] * b[1], a[1] ** 2 + b[1] ** 2])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from labdaemon.blur.beside import is_plain_dot, measure_beside
 from labdaemon.blur.cover import uncovered, why_nothing
 from labdaemon.blur.declared import measure_declared
 from labdaemon.blur.defocus import default_blur
@@ -64,9 +65,10 @@ def measure(
     expected = np.asarray(start.centre_px if start is not None else sharp.centre_px, dtype=np.float64)
     if start is None and camera_shift_px is not None:
         expected = expected + camera_shift_px
-    setting = prepare(sharp, patch, expected)
-    if setting is None:
+    lit = patch.values[patch.valid & np.isfinite(patch.values)]
+    if not np.any(lit > 0):
         return nothing(sharp.name, why_nothing(sharp, patch, expected))
+    setting = prepare(sharp, patch, expected)
     blur = extra_blur if extra_blur is not None else default_blur(sharp)
     part = 0.0 if window is None else abs(window.cycles - round(window.cycles))
 
@@ -78,7 +80,22 @@ def measure(
         flags = {Flag.PART_CYCLES} if part > PART else set()
         return measure_whole_cycles(sharp, patch, setting, blur, orbit=orbit, flags=flags)
 
-    found = fit(setting)
-    if found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags and Flag.POOR_FIT not in sharp.flags:
-        return uncovered(sharp, setting, found, fit)
-    return found
+    found = fit(setting) if setting is not None else nothing(sharp.name, why_nothing(sharp, patch, expected))
+    if setting is not None and setting.blob is None and _astray(sharp, expected, found):
+        return nothing(sharp.name, {Flag.NOT_FOUND})
+    if setting is not None and not (found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags):
+        return found
+    if Flag.POOR_FIT in sharp.flags:
+        return found
+    if is_plain_dot(sharp):
+        places = [place for place in (found.centre_px, expected, sharp.centre_px) if np.isfinite(place).all()]
+        beside = measure_beside(sharp, patch, places, blur, found, fit)
+        if beside is not None:
+            return beside
+    return uncovered(sharp, setting, found, fit) if setting is not None else found
+
+
+def _astray(sharp: SharpTarget, expected: FloatArray, found: Measurement) -> bool:
+    """Whether a texture's fit left the box that it was to be seen in: it found nothing like it there."""
+    moved = np.concatenate((found.centre_px - expected, found.a_px))
+    return not bool(np.all(np.abs(moved) <= np.tile(sharp.form.half_size_px, 2)))

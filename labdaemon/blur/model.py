@@ -114,10 +114,11 @@ def prepare(
     height, width = cut.shape
     margin = sharp.form.skirt_px
     grid = make_grid((height + margin, width + margin), sharp.form.oversampling)
-    return Setting(planes, grid, _standing(sharp.form, grid, planes), blob.centre_px, blob)
+    return Setting(planes, grid, standing(sharp.form, grid, planes), blob.centre_px, blob)
 
 
-def _standing(form: Form, grid: Grid, planes: Planes) -> Standing:
+def standing(form: Form, grid: Grid, planes: Planes) -> Standing:
+    """A target's spectra at rest on a patch's grid; kept for dots."""
     channel = tuple(planes.channel.tolist())
     if isinstance(form, Ellipse) and form.relief is None and grid.fx.size <= LARGEST:
         return _kept(_Dot.of(form), grid.size, grid.oversampling, channel, planes.period)
@@ -165,7 +166,7 @@ def _prepare_texture(sharp: SharpTarget, form: Texture, patch: Patch, expected_p
         return None
     planes = split(masked(cut, ~np.isin(cut.channel, form.channel)))
     grid = make_grid((form.dark.shape[1] + 4, form.dark.shape[2] + 4))
-    return Setting(planes, grid, _standing(form, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
+    return Setting(planes, grid, standing(form, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
 
 
 def blurred_model(setting: Setting, motion: Motion | None, *, exact: bool = False) -> Model:

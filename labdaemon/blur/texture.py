@@ -126,7 +126,9 @@ def sharp_texture(
     channels, dark, spread = _full_resolution(patch)
     inside = (slice(top, top + box[3]), slice(left, left + box[2]))
     valid = patch.valid[inside] & np.isfinite(patch.values[inside])
-    variance = float(np.mean(single.variance(patch.values[inside][valid]))) / spread**2 if valid.any() else np.inf
+    variance = (
+        float(np.mean(single.variance(patch.values[inside][valid]))) / max(spread, 1e-9) ** 2 if valid.any() else np.inf
+    )
     if known:
         variance /= count
     flags: set[Flag] = set()

@@ -18,12 +18,16 @@ from numpy.typing import NDArray
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.errors import DataError
 from labdaemon.imaging.hot import isolated, within_neighbours
+from labdaemon.imaging.lazily import LazyPicture
 
 SATURATION_MARGIN = 0.01
 """Fraction of the range below white level from where on a pixel no longer counts as linear."""
 
 Grey = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)
+
+CELLS = 50_000
+"""About so many cells of the mosaic tell a frame's colours and brightness."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,18 +134,22 @@ class RawFrame:
         Estimated on cells of the mosaic between the 70th and the 99th percentile of brightness and below saturation, as
         the median ratio of the cells' mean to the channel: white paper is what is bright in these scenes.
         """
-        if self.channels == 1:
-            return np.ones(1)
+        return self._gains(self._cells()) if self.channels > 1 else np.ones(1)
+
+    def _cells(self) -> FloatArray:
+        """(pixels of a cell, n) counts of cells of the mosaic all over the frame."""
         ph, pw = self.pattern.shape
         height, width = self.values.shape
-        step = max(1, int(np.sqrt(height * width / (ph * pw) / 200_000)))
+        step = max(1, int(np.sqrt(height * width / (ph * pw) / CELLS)))
         rows = slice(0, height // ph * ph)
         cols = slice(0, width // pw * pw)
         cells = self.values[rows, cols].reshape(height // ph, ph, width // pw, pw)[::step, :, ::step, :]
-        flat = cells.transpose(1, 3, 0, 2).reshape(ph * pw, -1).astype(np.float64)
-        black = _tile(self.black, 0, 0, pw, ph).ravel()
-        usable = (flat < self.saturation_dn).all(axis=0)
-        light = (flat - black[:, None])[:, usable]
+        return cells.transpose(1, 3, 0, 2).reshape(ph * pw, -1).astype(np.float64)
+
+    def _gains(self, cells: FloatArray) -> FloatArray:
+        black = _tile(self.black, 0, 0, *self.pattern.shape[::-1]).ravel()
+        usable = (cells < self.saturation_dn).all(axis=0)
+        light = (cells - black[:, None])[:, usable]
         if light.shape[1] < 16:
             return np.ones(self.channels)
         mean = light.mean(axis=0)
@@ -159,29 +167,48 @@ class RawFrame:
         For finding things and drawing them; measurements are made on `patch`. Each channel is multiplied by its gain
         and the result clipped at 1, since beyond it some channel may have clipped.
         """
+        return self.look()[:, :]
+
+    def look(self) -> LazyPicture:
+        """The same picture as `grey`, made where it is looked at."""
         height, width = self.values.shape
-        gains = self.gains()
+        cells = self._cells()
+        gains = self._gains(cells) if self.channels > 1 else np.ones(1)
         scale = gains[self.pattern] / (self.white_level - float(self.black.mean()))
-        values = within_neighbours(self.values, self.spacing)
-        out = np.empty((height, width), dtype=np.float32)
-        if self.black.shape == self.values.shape:
-            np.subtract(values, self.black, out=out, casting="unsafe")
-            offset = np.zeros(scale.shape)
-        else:
-            out[...] = values
-            ph, pw = (int(np.lcm(a, b)) for a, b in zip(self.black.shape, scale.shape, strict=True))
-            scale, offset = _tile(scale, 0, 0, pw, ph), _tile(self.black, 0, 0, pw, ph)
-        ph, pw = scale.shape
-        for row in range(ph):
-            out[row::ph] -= _tile(offset[row : row + 1], 0, 0, width, 1).astype(np.float32)
-            out[row::ph] *= _tile(scale[row : row + 1], 0, 0, width, 1).astype(np.float32)
-        return np.minimum(out, 1.0, out=out)
+        black = _tile(self.black, 0, 0, *self.pattern.shape[::-1])
+        sample = np.minimum((cells - black.reshape(-1, 1)) * scale.reshape(-1, 1), 1.0).mean(axis=0)
+        everywhere = self.black.shape == self.values.shape
+        shape = scale.shape
+        if not everywhere:
+            shape = (np.lcm(shape[0], self.black.shape[0]), np.lcm(shape[1], self.black.shape[1]))
+        period = int(shape[0])
+        scales = _tile(scale, 0, 0, width, period).astype(np.float32)
+        offsets = _tile(self.black, 0, 0, width, period).astype(np.float32)
+
+        def make(x0: int, y0: int, x1: int, y1: int) -> Grey:
+            # Two more pixels all round: neighbours of the same colour.
+            left, top = max(x0 - 2, 0), max(y0 - 2, 0)
+            near = within_neighbours(self.values[top : y1 + 2, left : x1 + 2], self.spacing)
+            near = near[y0 - top : y1 - top, x0 - left : x1 - left]
+            out = np.empty(near.shape, dtype=np.float32)
+            if everywhere:
+                np.subtract(near, self.black[y0:y1, x0:x1], out=out, casting="unsafe")
+            for row in range(period):
+                line = (y0 + row) % period
+                if not everywhere:
+                    np.subtract(near[row::period], offsets[line, x0:x1], out=out[row::period], dtype=np.float32)
+                out[row::period] *= scales[line, x0:x1]
+            return np.minimum(out, 1.0, out=out)
+
+        return LazyPicture((height, width), make, sample)
 
 
 def _tile(pattern: NDArray[T], x0: int, y0: int, w: int, h: int) -> NDArray[T]:
     """Repeat `pattern`, whose origin is pixel (0, 0), over a rectangle."""
     ph, pw = pattern.shape
-    return pattern[np.ix_(np.arange(y0, y0 + h) % ph, np.arange(x0, x0 + w) % pw)]
+    # One axis after the other: whole rows are copied at once.
+    result: NDArray[T] = pattern.take(np.arange(x0, x0 + w) % pw, axis=1).take(np.arange(y0, y0 + h) % ph, axis=0)
+    return result
 
 
 def mean_frame(frames: Sequence[RawFrame]) -> RawFrame:

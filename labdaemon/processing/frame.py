@@ -22,9 +22,11 @@ from labdaemon.blur.paper import measure_paper
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
-from labdaemon.imaging.frame import Grey, RawFrame
+from labdaemon.imaging.frame import RawFrame
+from labdaemon.imaging.lazily import LazyPicture
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.group import holds_phase, is_part, mean_of
+from labdaemon.processing.missing import expected_smears
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
 from labdaemon.processing.shift import FrameShift, frame_shift
@@ -36,6 +38,8 @@ MOVED_PX = 1.0
 """Shift of a frame's control targets from which its measurements are flagged. Less is corrected and harms nothing."""
 PATCH_REACH_PX = 40
 """How far a textured patch may have moved."""
+PATCH_SCORE = 0.35
+"""Correlation below which it is not there: noise alone reaches 0.2 somewhere, a smear of its own size keeps 0.5."""
 
 
 def nothing(target: SharpTarget) -> Measurement:
@@ -124,7 +128,7 @@ def measure_raw(
     method: str = "fit",
 ) -> FrameResult:
     """Measure frames that are already read; otherwise as `measure_frames`."""
-    greys = [frame.grey() for frame in frames]
+    greys = [frame.look() for frame in frames]
     shifts = [frame_shift(frame, grey, camera.control) for frame, grey in zip(frames, greys, strict=True)]
     # First of all: a frame of another camera would only be searched in vain.
     motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
@@ -148,12 +152,13 @@ def measure_raw(
     )
 
 
-def _look(camera: PreparedCamera, frame: RawFrame, grey: Grey, shift: FrameShift) -> _Look:
+def _look(camera: PreparedCamera, frame: RawFrame, grey: LazyPicture, shift: FrameShift) -> _Look:
     if camera.thumbnails:
         smears: list[Smear | None] = []
         for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):
             moved, score = find_thumbnail(grey, thumbnail, PATCH_REACH_PX)
-            smears.append(Smear(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0))
+            seen = score >= PATCH_SCORE
+            smears.append(Smear(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0) if seen else None)
         return _Look(frame, shift, smears)
     moved = shift.at(camera.centres_px)
     sought = [replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.sought, moved, strict=True)]
@@ -202,16 +207,26 @@ def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
 
 
 def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> list[Measurement]:
-    found, targets, cuts, starts = _found(camera, look)
     # Axes do not depend on the opening phase: where it is unknown, any will do.
     unknown = window is not None and window.phase_rad is None and is_part(window)
     if unknown and window is not None:
         window = replace(window, phase_rad=0.0)
-    measured = measure_frame(targets, cuts, window=window, extra_blur=look.shift.extra_blur, starts=starts)
+
+    def measured(smears: list[Smear | None]) -> dict[int, Measurement]:
+        found, targets, cuts, starts = _found(camera, replace(look, smears=smears))
+        each = measure_frame(targets, cuts, window=window, extra_blur=look.shift.extra_blur, starts=starts)
+        return dict(zip(found, each, strict=True))
+
     result = [nothing(target) for target in camera.targets]
-    for index, one in zip(found, measured, strict=True):
+    for index, one in measured(look.smears).items():
         seen = unknown and bool(np.isfinite(one.a_px).all())
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
+    # What was not found may be where its neighbours say, behind something. Anything else there is not this target.
+    rest_px = camera.centres_px + look.shift.at(camera.centres_px)
+    expected = expected_smears(rest_px, look.smears)
+    for index, one in measured([expected.get(index) for index in range(len(camera.targets))]).items():
+        if Flag.OCCLUDED in one.flags:
+            result[index] = one
     return result
 
 

@@ -164,7 +164,7 @@ def prepare_camera(
     if not usable:
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=files[0])
     plain = [Sought(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
-    contrast = measure_contrast(grey, plain)
+    contrast = measure_contrast(frame.look(), plain)
     return PreparedCamera(
         name,
         Path(files[0]),

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from labdaemon.blur.pixels import FloatArray
-from labdaemon.processing.smears import Picture, reduce
+from labdaemon.imaging.lazily import Picture
+from labdaemon.processing.smears import Look, reduce
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +36,7 @@ class Thumbnail:
         return cls(grey[y : y + h, x : x + w].copy(), x, y)
 
 
-def find_thumbnail(grey: Picture, sought: Thumbnail, reach_px: int) -> tuple[FloatArray, float]:
+def find_thumbnail(grey: Look, sought: Thumbnail, reach_px: int) -> tuple[FloatArray, float]:
     """Shift at which a later frame looks most like a thumbnail.
 
     Parameters

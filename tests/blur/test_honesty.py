@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from labdaemon.blur import Dot, ExtraBlur, Patch, Start, fit_sharp, measure
+from labdaemon.blur import Dot, ExtraBlur, Patch, Start, fit_sharp, measure, sharp_texture
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 
@@ -124,3 +126,36 @@ def test_sharp_patches_must_be_of_one_rectangle(still):
         fit_sharp(DOT, [still, still.crop(2, 2, 50, 50)])
     with pytest.raises(UsageError, match="at least one"):
         fit_sharp(DOT, [])
+
+
+@pytest.mark.parametrize("values", [np.nan, 0.0, 3000.0], ids=["nan", "black", "white"])
+def test_a_texture_that_is_not_there_is_not_found(still, values):
+    target = sharp_texture(still, (16, 16, 32, 32))
+    found = measure(target, grey(np.full((SIZE, SIZE), values)))
+    assert Flag.NOT_FOUND in found.flags
+    assert np.all(np.isnan(found.a_px))
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(
+    direction=st.floats(0, 2 * np.pi),
+    side=st.floats(0.0, 1.0),
+    width=st.integers(4, 12),
+    grey_level=st.floats(0.05, 0.9),
+    length=st.floats(0.5, 6.0),
+    seed=st.integers(0, 1000),
+)
+def test_whatever_hangs_in_front_no_wrong_number_goes_without_a_word(
+    area, scene, sharp, direction, side, width, grey_level, length, seed
+):
+    path = area.whole_cycles(length * np.cos(direction), length * np.sin(direction))
+    patch = area.render(scene, (SIZE, SIZE), (32.3, 31.8), path, seed=seed)
+    left = int(18 + side * 26)
+    values = patch.values.copy()
+    strip = np.random.default_rng(seed).normal(2500 * grey_level, 15, values[:, left : left + width].shape)
+    values[:, left : left + width] = strip
+    found = measure(sharp, grey(values), extra_blur=STILL)
+    assert found.flags
+    if Flag.OCCLUDED in found.flags and np.isfinite(found.a_px).all():
+        sd = np.sqrt(np.trace(found.covariance_px2[2:4, 2:4]))
+        assert abs(np.hypot(*found.a_px) - length) < 5 * sd + 0.05

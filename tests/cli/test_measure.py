@@ -132,3 +132,64 @@ def test_bad_input_is_one_line_exit_2_and_writes_nothing(
     assert run(monkeypatch, *given, "--out", out) == 2
     assert said in capsys.readouterr().err
     assert not out.exists()
+
+
+def spoilt(kind: str, picture: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    match kind:
+        case "black":
+            return np.zeros_like(picture)
+        case "white":
+            return np.full_like(picture, 65535)
+        case "noise in the dark":
+            return rng.integers(0, 60, picture.shape).astype(np.uint16)
+        case _:
+            return np.asarray(np.clip(rng.normal(30000, 400, picture.shape), 0, 65535), dtype=np.uint16)
+
+
+@pytest.mark.parametrize("kind", ["black", "white", "noise in the dark", "bare paper"])
+@pytest.mark.parametrize("patch", [[], ["--patch", "71,61,39,39"]], ids=["dots", "texture"])
+def test_a_frame_that_shows_no_target_gives_no_number(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sharp: Path, blurred: Path, kind: str, patch: list[str]
+) -> None:
+    file, out = tmp_path / "spoilt.png", tmp_path / "out.csv"
+    cv2.imwrite(str(file), spoilt(kind, cv2.imread(str(blurred), cv2.IMREAD_UNCHANGED)))
+    assert run(monkeypatch, "--sharp", sharp, file, *patch, "--out", out) == 0
+    for row in read_csv(out):
+        assert "not_found" in str(row["flags"])
+        assert row["ax_px"] in (None, "")
+    if patch:  # and where the sharp frame shows none of it
+        assert run(monkeypatch, "--sharp", file, sharp, *patch, "--out", out) == 0
+        assert all("not_found" in str(row["flags"]) for row in read_csv(out))
+
+
+@pytest.mark.parametrize("bits", [14, 8])
+def test_fewer_bits_are_the_same_picture(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sharp: Path, blurred: Path, bits: int
+) -> None:
+    files = []
+    for file in (sharp, blurred):
+        picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) >> (16 - bits)
+        files.append(tmp_path / file.name)
+        cv2.imwrite(str(files[-1]), picture.astype(np.uint8 if bits == 8 else np.uint16))
+    out = tmp_path / "out.csv"
+    assert run(monkeypatch, "--sharp", *files, "--out", out) == 0
+    rows = read_csv(out)
+    check(rows, ["T01", "T02", "T03", "T04"])
+    assert not any(row["flags"] for row in rows)
+
+
+def test_a_second_dot_in_a_targets_patch_is_flagged_or_harmless(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sharp: Path, blurred: Path
+) -> None:
+    picture = cv2.imread(str(blurred), cv2.IMREAD_UNCHANGED)
+    x, y = (PLACES[0] + (21.0, -8.0)).round().astype(int)
+    dot = picture[y - 18 : y + 19, x - 18 : x + 19].copy()
+    beside = picture[y - 18 : y + 19, x - 2 : x + 35]
+    np.minimum(beside, dot, out=beside)
+    file, out = tmp_path / "two.png", tmp_path / "out.csv"
+    cv2.imwrite(str(file), picture)
+    assert run(monkeypatch, "--sharp", sharp, file, "--out", out) == 0
+    row = read_csv(out)[0]
+    near = row["ax_px"] not in (None, "") and abs(abs(float(str(row["ax_px"]))) - 3) < 0.15
+    assert near or row["flags"]
