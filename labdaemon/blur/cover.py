@@ -70,14 +70,9 @@ def _lattice(picture: BoolArray, period: int, offset: FloatArray) -> BoolArray:
 def _odd_place(sharp: SharpTarget, setting: Setting, found: Measurement) -> BoolArray | None:
     """The one connected place where residuals are far from noise; None if there is none, or too much of it."""
     planes = setting.planes
-    k = setting.shapes
-    at = np.concatenate((found.centre_px, [found.extra_blur_px2], np.zeros(k)))
-    if not np.all(np.isfinite(at)):
+    if not np.all(np.isfinite([*found.centre_px, found.extra_blur_px2])):
         return None
-    # Only the light is fitted to the motion that was found, over everything.
-    dark, _ = blurred_model(setting, fixed(found))(at)
-    weight = pixel_weights(sharp, planes)(np.maximum(planes.values, 0))
-    light = solve_light(planes, weight, dark)
+    dark, weight, light = _lit(sharp, setting, found)
     residual = interleave(planes, (planes.values - render_light(planes, light, dark)) * np.sqrt(weight))
     smooth = ndimage.uniform_filter(residual, 3) * 3.0
     odd = np.abs(smooth) > max(ODD_SIGMAS, 2.5 * 1.48 * float(np.median(np.abs(smooth))))
@@ -90,6 +85,20 @@ def _odd_place(sharp: SharpTarget, setting: Setting, found: Measurement) -> Bool
         return None
     place = ndimage.binary_dilation(place, iterations=3)
     return None if place.mean() > MOST_HIDDEN else place
+
+
+def contrast_left(sharp: SharpTarget, setting: Setting, found: Measurement) -> float:
+    """Contrast of what moved as was found, in parts of the sharp picture's: about 1 for a texture that is there."""
+    return float(np.median(_lit(sharp, setting, found)[2][:, 3]))
+
+
+def _lit(sharp: SharpTarget, setting: Setting, found: Measurement) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Darkness by the motion that was found, weights, and the light fitted to it over everything."""
+    planes = setting.planes
+    at = np.concatenate((found.centre_px, [found.extra_blur_px2], np.zeros(setting.shapes)))
+    dark, _ = blurred_model(setting, fixed(found))(at)
+    weight = pixel_weights(sharp, planes)(np.maximum(planes.values, 0))
+    return dark, weight, solve_light(planes, weight, dark)
 
 
 def _alike_across(place: BoolArray, residual: FloatArray, centre: FloatArray) -> bool:

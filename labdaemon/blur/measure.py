@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labdaemon.blur.beside import is_plain_dot, measure_beside
-from labdaemon.blur.cover import uncovered, why_nothing
+from labdaemon.blur.cover import contrast_left, uncovered, why_nothing
 from labdaemon.blur.declared import measure_declared
 from labdaemon.blur.defocus import default_blur
 from labdaemon.blur.known_window import measure_known_window
@@ -19,6 +19,7 @@ from labdaemon.flags import Flag
 
 COVERED_CHI2 = 2.5  # residuals from which something in front is looked for; a motion's own harmonics make less
 WHOLE = 0.01  # cycles from whole below which the window's phase does not show
+LEAST_CONTRAST = 0.2  # of a texture, in parts of the sharp picture's, below which it is not there
 PART = 0.05  # cycles from whole above which a model of whole cycles is biased
 
 
@@ -81,7 +82,7 @@ def measure(
         return measure_whole_cycles(sharp, patch, setting, blur, orbit=orbit, flags=flags)
 
     found = fit(setting) if setting is not None else nothing(sharp.name, why_nothing(sharp, patch, expected))
-    if setting is not None and setting.blob is None and _astray(sharp, expected, found):
+    if setting is not None and setting.blob is None and _astray(sharp, setting, expected, found):
         return nothing(sharp.name, {Flag.NOT_FOUND})
     if setting is not None and not (found.chi2 > COVERED_CHI2 and Flag.POOR_FIT in found.flags):
         return found
@@ -95,7 +96,8 @@ def measure(
     return uncovered(sharp, setting, found, fit) if setting is not None else found
 
 
-def _astray(sharp: SharpTarget, expected: FloatArray, found: Measurement) -> bool:
-    """Whether a texture's fit left the box that it was to be seen in: it found nothing like it there."""
+def _astray(sharp: SharpTarget, setting: Setting, expected: FloatArray, found: Measurement) -> bool:
+    """Whether a texture's fit left the box that it was to be seen in, or is of nothing: it is not there."""
     moved = np.concatenate((found.centre_px - expected, found.a_px))
-    return not bool(np.all(np.abs(moved) <= np.tile(sharp.form.half_size_px, 2)))
+    within = bool(np.all(np.abs(moved) <= np.tile(sharp.form.half_size_px, 2)))
+    return not within or contrast_left(sharp, setting, found) < LEAST_CONTRAST
