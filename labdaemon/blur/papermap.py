@@ -42,7 +42,7 @@ class PaperMap:
         Variance of the sharp frame's own noise in it, relative to the paper's brightness squared.
     """
 
-    dark: NDArray[np.float32]
+    dark: NDArray[np.float16]
     centre_px: FloatArray
     noise: float
 
@@ -168,7 +168,7 @@ def map_paper(
     fx, fy = half_plane((height, width))
     power = grain_power(noise, fx**2 + fy**2)
     kept = fft.irfft2(fft.rfft2(dark) * (power / (power + floor)), s=dark.shape)
-    return PaperMap(kept.astype(np.float32), centre_px - np.asarray(wide.origin_px), floor), noise
+    return PaperMap(kept.astype(np.float16), centre_px - np.asarray(wide.origin_px), floor), noise
 
 
 def _surface(values: FloatArray, paper: BoolArray, x: FloatArray, y: FloatArray) -> FloatArray:
