@@ -17,13 +17,15 @@ from scipy import ndimage
 
 from labdaemon.blur import shapes
 from labdaemon.blur.cover import fixed
+from labdaemon.blur.light import light_level, render_light
 from labdaemon.blur.locate import Blob
 from labdaemon.blur.model import Setting, blurred_model, standing
 from labdaemon.blur.mosaic import Planes, interleave, make_grid, split
 from labdaemon.blur.motion import ExtraBlur, Measurement, nothing
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
-from labdaemon.blur.solve import Solution, light_level, render_light, solve
+from labdaemon.blur.solve import solve
 from labdaemon.blur.weights import nuisance_prior, pixel_weights
 from labdaemon.flags import Flag
 

@@ -9,13 +9,13 @@ import numpy as np
 from scipy import ndimage
 
 from labdaemon.blur import shapes
+from labdaemon.blur.light import render_light, solve_light
 from labdaemon.blur.locate import find_blob
 from labdaemon.blur.model import Setting, blurred_model
 from labdaemon.blur.mosaic import interleave
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import render_light, solve_light
 from labdaemon.blur.weights import pixel_weights
 from labdaemon.flags import Flag
 

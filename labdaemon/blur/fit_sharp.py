@@ -9,15 +9,17 @@ import numpy as np
 
 from labdaemon.blur import shapes
 from labdaemon.blur.grain import noise_of_residuals
+from labdaemon.blur.light import light_level
 from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
+from labdaemon.blur.normal import Prior, Solution
 from labdaemon.blur.papermap import map_paper
 from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.relief import Relief, find_relief, paper_around
 from labdaemon.blur.render import darkness, shifted, single
 from labdaemon.blur.sharp import Ellipse, Lens, SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, light_level, one_step, solve
+from labdaemon.blur.solve import Model, one_step, solve
 from labdaemon.blur.weights import noise_weights
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag

@@ -24,13 +24,15 @@ import numpy as np
 from scipy import fft
 
 from labdaemon.blur import shapes
+from labdaemon.blur.light import derivatives, light_coordinates, light_level, ridge
 from labdaemon.blur.model import Setting
 from labdaemon.blur.mosaic import Planes, interleave
+from labdaemon.blur.normal import Prior, Solution
 from labdaemon.blur.papermap import grain_power, half_plane
 from labdaemon.blur.pixels import FloatArray, NoiseModel
 from labdaemon.blur.render import single
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, derivatives, light_coordinates, light_level, ridge
+from labdaemon.blur.solve import Model
 
 BENT = 0.02  # prior deviation of the light's curvature over a patch, relative
 MOVING, STILL = (1.0, 0.5), (0.0, 0.5)  # how much of the mapped grain is expected to move and to stand, with deviations

@@ -6,9 +6,9 @@ import numpy as np
 from scipy import fft
 
 from labdaemon.blur.mosaic import Planes, interleave
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Solution
 from labdaemon.blur.weights import ceiling_dn
 from labdaemon.flags import Flag
 

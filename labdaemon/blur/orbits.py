@@ -8,9 +8,11 @@ import numpy as np
 
 from labdaemon.blur.honesty import honest_covariance
 from labdaemon.blur.law import nodes_transfer, standing_transfer, window_nodes
+from labdaemon.blur.light import render_light, solve_light
 from labdaemon.blur.model import Motion
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import ComplexArray, FloatArray
-from labdaemon.blur.solve import Solution, one_step, render_light, solve, solve_light
+from labdaemon.blur.solve import one_step, solve
 from labdaemon.blur.standing import LEAST_VARIANCE, PhaseProfile
 from labdaemon.blur.windowed import Exposures, orbit_motion
 

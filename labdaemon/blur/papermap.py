@@ -16,9 +16,10 @@ from scipy import fft, ndimage
 
 from labdaemon.blur import shapes
 from labdaemon.blur.grain import grain_of
+from labdaemon.blur.light import light_level
 from labdaemon.blur.mosaic import Planes, interleave
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import BoolArray, FloatArray, NoiseModel, Patch
-from labdaemon.blur.solve import Solution, light_level
 
 RIM_PX = 4.0  # around the dot where the fit knows the light better than a surface through the paper does
 EDGE_PX = 4.5  # how far the paper's blurred edge is kept away

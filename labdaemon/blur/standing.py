@@ -28,8 +28,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdaemon.blur.law import window_nodes
+from labdaemon.blur.light import render_light, solve_light
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import FloatArray
-from labdaemon.blur.solve import Solution, render_light, solve, solve_light
+from labdaemon.blur.solve import solve
 from labdaemon.blur.texture import Texture
 from labdaemon.blur.windowed import FRAME, Exposures, phase_motion, standing_motion
 

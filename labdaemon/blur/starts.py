@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from labdaemon.blur import shapes
+from labdaemon.blur.light import render_light, solve_light
 from labdaemon.blur.model import Setting, blurred_model
 from labdaemon.blur.motion import ExtraBlur
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import render_light, solve_light
 from labdaemon.blur.weights import pixel_weights
 
 

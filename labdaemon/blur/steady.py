@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labdaemon.blur.honesty import REST_SIGMAS, honest_covariance
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.orbits import across, minor_axis, solve_orbit
 from labdaemon.blur.phase_chances import CLOSE, Standing, summed_up, two_valleys
 from labdaemon.blur.pixels import FloatArray
-from labdaemon.blur.solve import Solution
 from labdaemon.blur.standing import PhaseProfile, profile_phase
 from labdaemon.blur.turning import all_turnings, at_phase
 from labdaemon.blur.windowed import FRAME, Exposures, orbit_motion, phase_motion, timing_covariance

@@ -7,11 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from labdaemon.blur.honesty import honest_covariance
+from labdaemon.blur.light import solve_light
 from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Start, StillMeasurement
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Solution, solve, solve_light
+from labdaemon.blur.solve import Model, solve
 from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import nuisance_prior, pixel_weights
 from labdaemon.flags import Flag

@@ -12,9 +12,9 @@ import numpy as np
 
 from labdaemon.blur import shapes
 from labdaemon.blur.model import Motion, Setting
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Solution
 from labdaemon.blur.texture import Texture
 
 

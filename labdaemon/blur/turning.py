@@ -13,10 +13,11 @@ from scipy.interpolate import CubicSpline
 
 from labdaemon.blur.law import nodes_transfer
 from labdaemon.blur.model import Motion
+from labdaemon.blur.normal import Solution
 from labdaemon.blur.orbits import across, turned
 from labdaemon.blur.phase_chances import BROAD_RAD, FINE
 from labdaemon.blur.pixels import ComplexArray, FloatArray
-from labdaemon.blur.solve import Solution, solve
+from labdaemon.blur.solve import solve
 from labdaemon.blur.standing import PhaseProfile
 from labdaemon.blur.windowed import FRAME, Exposures, MotionOf
 

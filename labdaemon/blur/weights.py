@@ -8,9 +8,9 @@ import numpy as np
 
 from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.motion import ExtraBlur
+from labdaemon.blur.normal import Prior, Solution
 from labdaemon.blur.pixels import FloatArray, NoiseModel
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Prior, Solution
 
 
 def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Prior:

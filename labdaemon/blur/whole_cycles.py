@@ -13,9 +13,10 @@ from labdaemon.blur.gls import weigh_grain
 from labdaemon.blur.honesty import POOR_CHI2, REST_SIGMAS, honest_covariance, reach_flags, sight_flags
 from labdaemon.blur.model import Setting, blurred_model, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement
+from labdaemon.blur.normal import Prior, Solution
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import Ellipse, SharpTarget
-from labdaemon.blur.solve import SHORT, Prior, Solution, approach, one_step, restricted, solve
+from labdaemon.blur.solve import SHORT, approach, one_step, restricted, solve
 from labdaemon.blur.starts import starts_of
 from labdaemon.blur.template import without_template_noise
 from labdaemon.blur.weights import noise_scale, nuisance_prior, pixel_weights

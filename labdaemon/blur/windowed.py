@@ -13,12 +13,14 @@ from functools import partial
 import numpy as np
 
 from labdaemon.blur.law import nodes_transfer, standing_transfer, window_nodes
+from labdaemon.blur.light import light_level
 from labdaemon.blur.model import Motion, Setting, blurred_model
 from labdaemon.blur.mosaic import Planes
 from labdaemon.blur.motion import ExtraBlur, Window
+from labdaemon.blur.normal import Prior, Solution
 from labdaemon.blur.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.solve import Model, Prior, Solution, light_level
+from labdaemon.blur.solve import Model
 from labdaemon.blur.weights import pixel_weights, shape_precision
 
 FRAME = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from labdaemon.blur.light import render_light
 from labdaemon.blur.mosaic import Planes
-from labdaemon.blur.solve import Prior, approach, one_step, render_light, restricted, solve
+from labdaemon.blur.normal import Prior
+from labdaemon.blur.solve import approach, one_step, restricted, solve
 
 SHAPE = (4, 20, 22)
 TRUTH = np.array([0.3, -0.2, 0.1])
