@@ -11,6 +11,7 @@ import numpy as np
 from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import DataError, UsageError
+from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.orient import Orientation, orient
 from labdaemon.geometry.view import View
@@ -25,6 +26,8 @@ from labdaemon.processing.thumbnails import Thumbnail
 LEAST_CONTROL = 4
 ORDINARY_PX = (12.0, 200.0)
 """Diameters of dots that are looked for where nothing is known of their size or distance."""
+LEAST_SMEARED, SMEARED_PART = 2, 0.2
+"""Smeared dots, and their part of all, from which a sharp frame is not believed."""
 SMALLEST_PX = 7.0
 """Diameter below which a dot cannot be told from anything else."""
 
@@ -160,7 +163,7 @@ def prepare_camera(
             "no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed", file=files[0]
         )
     fitted = [(dot, _fit(dot, frames)) for dot in dots]
-    usable = [(dot, target) for dot, target in fitted if target.usable]
+    usable = _all_in_doubt([(dot, target) for dot, target in fitted if target.usable])
     if not usable:
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=files[0])
     plain = [Sought(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
@@ -206,6 +209,17 @@ def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, 
     return PreparedCamera(
         "", Path(files[0]), frame.size, tuple(targets), (), ControlTargets(TAG_FAMILY), thumbnails=thumbnails
     )
+
+
+def _all_in_doubt(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:
+    """The dots, all of them flagged where so many look smeared that the structure was not at rest.
+
+    A dot that moved by parts of a pixel while it was taken looks sharp, but what is measured against it is wrong.
+    """
+    smeared = sum(Flag.POOR_FIT in target.flags for _, target in usable)
+    if smeared < max(LEAST_SMEARED, SMEARED_PART * len(usable)):
+        return usable
+    return [(dot, replace(target, flags=target.flags | {Flag.POOR_FIT})) for dot, target in usable]
 
 
 def _enough(control: ControlTargets, survey: CameraSurvey, file: Path) -> None:

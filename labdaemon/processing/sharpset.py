@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import DataError
+from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.plane import Plane, fit_plane
 from labdaemon.processing.correspond import SeenDots, correspond, meet
@@ -138,7 +139,7 @@ def assemble(
         dots, sure = np.array([track.dots for track in tracks]), np.array([track.sure for track in tracks])
         names = []
     places = _places(prepared, dots, plane)
-    notes += _left_over(prepared, dots)
+    notes += _left_over(prepared, dots) + _not_at_rest(prepared)
     if not names:
         names = (
             names_in_space(places) if like is None else names_like(places, like.places_mm, like.targets, SAME_PLACE_MM)
@@ -227,6 +228,15 @@ def _places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: P
     rows = np.flatnonzero(dots[:, 0] >= 0)
     places[rows] = plane.to_object(plane.to_plane(pixels[0, rows]))
     return places
+
+
+def _not_at_rest(prepared: Sequence[PreparedCamera]) -> list[str]:
+    return [
+        f"{camera.name}: {camera.file.name} is itself blurred, so that everything measured against it is flagged "
+        "poor_fit: take it at rest, or with a fast shutter (at_rest = false in set.toml)"
+        for camera in prepared
+        if len(camera.targets) > 1 and all(Flag.POOR_FIT in target.flags for target in camera.targets)
+    ]
 
 
 def _left_over(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp]) -> list[str]:
