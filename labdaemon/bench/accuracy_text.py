@@ -110,7 +110,7 @@ def _special(case: CaseResult) -> list[str]:
 
 
 def _optics(pooled: CaseResult, gaussian: CaseResult) -> str:
-    """How much diffraction costs. The gaussian case has fewer captures, but motions of the same range."""
+    """How much diffraction costs: the same motions through either."""
     airy, round_ = (figures([pair for pair in case.ours if pair.true_mm >= SEEN_MM]) for case in (pooled, gaussian))
     ratio = math.hypot(airy.mean_mm, airy.sd_mm) / math.hypot(round_.mean_mm, round_.sd_mm)
     return f"Diffraction at f/32 against Gaussian optics: rms error {ratio:.2f} x (goal 1.5)"

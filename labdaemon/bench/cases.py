@@ -74,7 +74,7 @@ def cases(quick: bool) -> list[Case]:
         Case("phase", "phase, 0.8 mm, 5.5 cycles, 2 captures", {**phase, "phase_rad": (0.0, quarter)}, phased=True),
         Case("part-known", "5.37 cycles, window known", {**part, "tell": "all"}),
         Case("part-unknown", "5.37 cycles, phase unknown", {**part, "tell": "window"}),
-        Case("gaussian", "Gaussian optics", {"captures": few, "gaussian_optics": True}),
+        Case("gaussian", "Gaussian optics", {"captures": captures, "gaussian_optics": True}),
     ]
     if quick:
         return programme

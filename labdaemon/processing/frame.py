@@ -18,6 +18,7 @@ from labdaemon.blur import (
     measure_group,
     relative_signs,
 )
+from labdaemon.blur.cover import why_nothing
 from labdaemon.blur.paper import measure_paper
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
@@ -217,7 +218,10 @@ def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> 
         each = measure_frame(targets, cuts, window=window, extra_blur=look.shift.extra_blur, starts=starts)
         return dict(zip(found, each, strict=True))
 
-    result = [nothing(target) for target in camera.targets]
+    result = [
+        _unseen(look, target) if smear is None else nothing(target)
+        for target, smear in zip(camera.targets, look.smears, strict=True)
+    ]
     for index, one in measured(look.smears).items():
         seen = unknown and bool(np.isfinite(one.a_px).all())
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
@@ -228,6 +232,15 @@ def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> 
         if Flag.OCCLUDED in one.flags:
             result[index] = one
     return result
+
+
+def _unseen(look: _Look, target: SharpTarget) -> Measurement:
+    """A measurement without numbers, of a target that was not found: perhaps because all is at white level there."""
+    lost = nothing(target)
+    at = target.centre_px + look.shift.at(target.centre_px[None])[0]
+    (x, y), (w, h) = (round(float(v)) for v in at), (round(v) for v in target.form.half_size_px)
+    white = why_nothing(target, look.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1), at) & {Flag.SATURATED}
+    return replace(lost, flags=lost.flags | white)
 
 
 def _found(camera: PreparedCamera, look: _Look) -> tuple[list[int], list[SharpTarget], list[Patch], list[Start]]:
