@@ -7,7 +7,8 @@ from dataclasses import asdict
 from typing import Any
 
 from labdaemon.bench.accuracy import AccuracyResult, CaseResult
-from labdaemon.bench.pairs import Pair
+from labdaemon.bench.cases import SIGN_CYCLES
+from labdaemon.bench.pairs import Pair, sign_is_right
 from labdaemon.bench.statistics import SEEN_MM, Figures, figures, median_phase_error_deg
 
 PUBLISHED = (-0.115, 0.158, 0.38)
@@ -105,6 +106,13 @@ def _special(case: CaseResult) -> list[str]:
         return [
             f"5.37 cycles, phase unknown: {said} of {f.targets} flagged part_cycles, 95 % within "
             f"{100.0 * f.relative_p95:.1f} % (goal 3 %)"
+        ]
+    if case.case.key == "signs":
+        stated = [pair for pair in case.ours if pair.sign]
+        wrong = sum(not sign_is_right(pair, SIGN_CYCLES) for pair in stated)
+        return [
+            f"Signs from one exposure of 5.5 cycles, 0.2 to 3 mm at any phase: {len(stated)} of {f.targets} stated, "
+            f"{wrong} of them wrong"
         ]
     return []
 

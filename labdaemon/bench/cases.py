@@ -24,6 +24,10 @@ BASE: Mapping[str, Any] = {
 """Whole cycles, straight motion, sizes and amplitudes mixed: what the figures of merit are taken from."""
 
 
+SIGN_CYCLES = 5.5
+"""Cycles in the exposure from which signs are read."""
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
     """A folder to render and measure.
@@ -67,6 +71,7 @@ def cases(quick: bool) -> list[Case]:
     quarter = math.pi / 2.0
     orbit = {"orbit": 0.5, "diameters_mm": (8.0,), "amplitude_mm": (0.3, 3.0), "captures": few}
     phase = {"diameters_mm": (8.0,), "amplitude_mm": (0.75, 0.85), "exposure_s": 1.1, "captures": few}
+    signs = {"diameters_mm": (8.0,), "amplitude_mm": (0.2, 3.0), "exposure_s": SIGN_CYCLES / 5.0, "in_phase": True}
     part = {"diameters_mm": (8.0,), "amplitude_mm": (0.3, 3.0), "exposure_s": 1.074, "captures": few}
     programme = [
         Case("pooled", "5, 8 and 12 mm pooled", {"captures": captures}, paper=True, pooled=True),
@@ -74,6 +79,7 @@ def cases(quick: bool) -> list[Case]:
         Case("phase", "phase, 0.8 mm, 5.5 cycles, 2 captures", {**phase, "phase_rad": (0.0, quarter)}, phased=True),
         Case("part-known", "5.37 cycles, window known", {**part, "tell": "all"}),
         Case("part-unknown", "5.37 cycles, phase unknown", {**part, "tell": "window"}),
+        Case("signs", "signs, 5.5 cycles, phase unknown", {**signs, "tell": "window", "captures": captures}),
         Case("gaussian", "Gaussian optics", {"captures": captures, "gaussian_optics": True}),
     ]
     if quick:

@@ -36,6 +36,8 @@ class Pair:
         As reported.
     pulls
         Error over stated standard deviation of each component of the major semi-axis that has one.
+    sign
+        On which side of a the target is said to have been at the middle of the exposure: 1, −1, or 0 where it is not.
     """
 
     diameter_mm: float
@@ -46,6 +48,7 @@ class Pair:
     sd_mm: float
     flags: frozenset[str]
     pulls: tuple[float, ...] = ()
+    sign: int = 0
 
     @property
     def compared(self) -> bool:
@@ -79,6 +82,13 @@ class Pair:
         """Mean angle by which the measured phasor a + ib leads the true one."""
         overlap = np.vdot(self.true_a + 1j * self.true_b, self.a + 1j * self.b)
         return math.degrees(float(np.angle(overlap)))
+
+
+def sign_is_right(pair: Pair, cycles: float) -> bool:
+    """Whether a stated sign is that of the side on which the target was, half of `cycles` after a phase of zero."""
+    middle = math.pi * cycles
+    side = math.sin(middle) * pair.true_a + math.cos(middle) * pair.true_b
+    return pair.sign * float(pair.a @ side) > 0
 
 
 def axes(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -133,6 +143,7 @@ def _pair(true: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Pair:
         _sd(found, a, b),
         frozenset(found["flags"]) if found else frozenset({"not_found"}),
         _pulls(found, a, _vector(true, "a", ""), _vector(true, "b", "")),
+        int(found.get("sign") or 0),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.bench.pairs import Pair, axes, pair_up
+from labdaemon.bench.pairs import Pair, axes, pair_up, sign_is_right
 
 vectors = st.lists(st.floats(-5, 5), min_size=3, max_size=3).map(np.array)
 
@@ -76,3 +76,12 @@ def test_phase_error_is_the_turn_of_the_phasor() -> None:
     assert pair.phase_error_deg == pytest.approx(7.0)
     assert pair.error_mm == pytest.approx(0.0, abs=1e-12)
     assert pair.minor_error_mm == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_sign_is_the_side_at_the_middle_of_the_exposure() -> None:
+    """After 5.5 cycles the middle is 2.75 on: sine −1, cosine 0."""
+    truth = a_truth(bx=0.3)
+    right, wrong, none = (pair_up([truth], [a_report() | {"sign": sign}])[0] for sign in (-1, 1, None))
+    assert sign_is_right(right, 5.5)
+    assert not sign_is_right(wrong, 5.5)
+    assert none.sign == 0
