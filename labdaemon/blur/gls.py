@@ -27,7 +27,7 @@ from labdaemon.blur import shapes
 from labdaemon.blur.light import derivatives, light_coordinates, light_level, ridge
 from labdaemon.blur.model import Setting
 from labdaemon.blur.mosaic import Planes, interleave
-from labdaemon.blur.normal import Prior, Solution
+from labdaemon.blur.normal import Prior, Solution, inverse_scaled
 from labdaemon.blur.papermap import grain_power, half_plane
 from labdaemon.blur.pixels import FloatArray, NoiseModel
 from labdaemon.blur.render import single
@@ -38,7 +38,6 @@ BENT = 0.02  # prior deviation of the light's curvature over a patch, relative
 MOVING, STILL = (1.0, 0.5), (0.0, 0.5)  # how much of the mapped grain is expected to move and to stand, with deviations
 MOST = 1.5  # of either, counted for what is left of it
 ODD_CHI2 = 4.0  # residuals from which a fit is not improved by weighing noise
-SINGULAR = 1e12
 MARGIN_PX = 8  # of nothing around the pictures that are filtered
 
 
@@ -93,7 +92,7 @@ def weigh_grain(
     for index, (mean, sd) in enumerate(expected, start=k):
         precision[index, index] = sd**-2
         pull[index] = -mean * sd**-2
-    inverse = _inverse(normal[:, :-1] + precision)
+    inverse = inverse_scaled(normal[:, :-1] + precision)
     step = inverse @ (normal[:, -1] - pull)
     light = solution.light - solution.light_part @ step[:k]
     return replace(solution, p=solution.p + step[:k], light=light, covariance=inverse[:k, :k], correlated=True)
@@ -214,18 +213,4 @@ def _power(first: Any, second: Any, spectrum: FloatArray, size: tuple[int, ...])
     left = (first * factor).reshape(len(first), -1).view(np.float64)
     right = second.astype(np.complex128).reshape(len(second), -1).view(np.float64)
     result: FloatArray = left @ right.T
-    return result
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of a normal matrix, scaled first; directions that nothing determines stay out."""
-    scale = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-    scaled = matrix / np.outer(scale, scale)
-    try:
-        inverse = np.linalg.inv(scaled)
-    except np.linalg.LinAlgError:
-        inverse = np.full_like(scaled, np.inf)
-    if not np.abs(inverse).max() < SINGULAR:
-        inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
-    result: FloatArray = inverse / np.outer(scale, scale)
     return result
