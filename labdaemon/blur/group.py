@@ -73,7 +73,8 @@ def measure_group(
         if setting is None:
             return nothing(sharp.name, {Flag.NOT_FOUND})
         settings.append(setting)
-    exposures = Exposures.of(sharp, settings, windows, blurs)
+    there = np.mean([setting.start_px for setting in settings], axis=0)
+    exposures = Exposures.of(sharp.elsewhere(there), settings, windows, blurs)
     return _report(exposures, fit_steady(exposures))
 
 

@@ -70,6 +70,8 @@ def measure(
     if not np.any(lit > 0):
         return nothing(sharp.name, why_nothing(sharp, patch, expected))
     setting = prepare(sharp, patch, expected)
+    if setting is not None:
+        sharp = sharp.elsewhere(setting.start_px)
     blur = extra_blur if extra_blur is not None else default_blur(sharp)
     part = 0.0 if window is None else abs(window.cycles - round(window.cycles))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -72,6 +72,7 @@ class Lens:
         return result
 
 
+LENS_PX = 3000.0  # focal length of ordinary lenses on ordinary sensors, or less
 DISTORTION = 0.02  # standard deviation of a label's turn and stretch between the frames, radians
 
 
@@ -226,6 +227,19 @@ class SharpTarget:
     chi2: float = 1.0
     flags: frozenset[Flag] = field(default_factory=frozenset)
     paper: PaperMap | None = None
+
+    def elsewhere(self, place_px: FloatArray) -> SharpTarget:
+        """The target where its mean position is another than at rest: its size is known less well there.
+
+        What moved sideways may have come nearer or gone away by as much, and looks larger or smaller by that part of
+        its distance; a lens is `LENS_PX` long or more.
+        """
+        part = float(np.hypot(*(place_px - self.centre_px))) / LENS_PX
+        if not isinstance(self.form, Ellipse) or not part > 0:
+            return self
+        size = np.append(self.form.q_px, 0.0) * part
+        covariance = self.form.shape_covariance + np.outer(size, size)
+        return replace(self, form=replace(self.form, shape_covariance=covariance))
 
     @property
     def usable(self) -> bool:

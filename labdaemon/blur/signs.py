@@ -137,7 +137,8 @@ def clue_of(
     setting = prepare(sharp, patch, expected)
     if setting is None:
         return None
-    exposures = Exposures.of(sharp, [setting], [window], [extra_blur or default_blur(sharp)])
+    there = sharp.elsewhere(setting.start_px)
+    exposures = Exposures.of(there, [setting], [window], [extra_blur or default_blur(sharp)])
     profile = profile_phase(exposures, smear_spread(exposures))
     scale = max(profile.best.chi2, 1.0)
     if scale > POOR_CHI2 and sharp.noise_known:
