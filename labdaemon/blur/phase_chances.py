@@ -31,7 +31,7 @@ class Standing:
     value, covariance
         (6,) and (6, 6) x, y, ax, ay, bx, by: the same in terms of the phase.
     is_loose
-        Whether the phase hardly shows.
+        Whether the phase shows less well than its circle is straight.
     """
 
     axis: FloatArray
@@ -59,7 +59,12 @@ def summed_up(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> S
         jacobian = np.zeros((6, 5))
         jacobian[:, :4] = _by_axis(p[4])
         jacobian[2:, 4] = np.concatenate((-s * v, c * v))
-        return Standing(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T)
+        # The circle of phases leaves its tangent by half the square of the phase's deviation: less than the
+        # amplitude's own, or the tangents of two cameras would seem to cross at one phase.
+        along = v / max(float(np.hypot(*v)), 1e-12)
+        part = float(np.sqrt(along @ covariance[2:4, 2:4] @ along)) / max(float(np.hypot(*v)), 1e-12)
+        bent = bool(covariance[4, 4] > part)
+        return Standing(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, bent)
     at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / max(covariance[4, 4], 1e-12)
     axis = chance @ others[:, :4]
     total = _scatter(chance, _vectors_of(others) - value)

@@ -108,3 +108,14 @@ def test_a_group_needs_its_phases(area, sharp):
         measure_group(sharp, pictures, [Window(5.5, 1.0)])
     with pytest.raises(UsageError, match="window"):
         measure_group(sharp, pictures, [])
+
+
+@pytest.mark.parametrize(("size", "bent"), [(1.5, True), (7.0, False)])
+def test_a_phase_that_shows_less_than_its_circle_is_straight_keeps_its_axis_apart(area, sharp, size, bent):
+    """Cameras are joined by the axis then: two tangents of one circle would cross where neither phase is."""
+    phases = (0.4, 0.4 + np.pi / 2)
+    windows = [Window(5.5, 1.0, p) for p in phases]
+    pictures = frames(area, (size, 0.3 * size, 0.5 * size, 0.15 * size), 5.5, phases)
+    found = measure_group(sharp, pictures, windows, extra_blur=STILL)
+    assert found.phased
+    assert (found.axes is not None) == bent
