@@ -134,7 +134,10 @@ def normal_equations(
     columns = derivatives(planes, light, dark, by_p, residual)
     columns *= root[:, None]
     columns = columns.reshape(n, k + 5, -1)
-    products = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
+    if not np.all(np.isfinite(products)):
+        products[:] = 0.0  # so far off that single precision overflows: the picture says nothing, the prior remains
     normal, gradient = products[:, :-1, :-1], products[:, :-1, -1]
     inner = np.linalg.solve(
         normal[:, k:, k:] + ridge(normal[:, k:, k:], 1e-12),

@@ -57,8 +57,9 @@ def diffraction_slope(f: FloatArray, width_px: float) -> FloatArray:
 
 def gaussian(f2: FloatArray, variance_px2: float) -> FloatArray:
     """Transfer function exp(−2π² σ² f²) of a Gaussian; a negative variance sharpens."""
-    # Steps on the way of a fit that goes wrong may ask for any sharpening; e²⁰ of it is as wrong as more.
-    result: FloatArray = np.exp(np.minimum(-2 * np.pi**2 * variance_px2 * f2, 20.0))
+    # Steps on the way of a fit that goes wrong may ask for any sharpening; e¹² of it is as wrong as more, and its
+    # squares can still be summed in single precision.
+    result: FloatArray = np.exp(np.minimum(-2 * np.pi**2 * variance_px2 * f2, 12.0))
     return result
 
 

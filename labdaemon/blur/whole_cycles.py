@@ -28,6 +28,7 @@ QUICK_PX = 1.2  # semi-amplitude from which a smear's own moments are a start go
 # Steps of an approach that may be its last: a moment is nearly linear, a path's end less so.
 LAST_OF_PATH = np.array([0.2, 0.2, 0.2, 0.2, 0.2])
 LAST_OF_ORBIT = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0])
+BLUR_PX2 = (-1.0, 50.0)  # extra blur that a frame can have
 FAN = np.linspace(-1.0, 1.0, 91)
 
 
@@ -151,6 +152,7 @@ def _quick_orbit(
             begin,
             Prior(held.mean[:5], held.precision[:5, :5]),
             LAST_OF_PATH,
+            bound=_bound_blur,
         )
         if path is not None and float(np.hypot(*path[0][3:])) >= QUICK_PX:
             ax, ay = path[0][3:]
@@ -181,10 +183,16 @@ def _bound(k: int) -> Callable[[FloatArray], FloatArray]:
         if low[0] < -1.5:
             fixed = axes @ np.diag(np.maximum(low, -1.5)) @ axes.T
             p[3 + k :] = fixed[0, 0], fixed[0, 1], fixed[1, 1]
-        p[2] = np.clip(p[2], -1.0, 50.0)
-        return p
+        return _bound_blur(p)
 
     return bound
+
+
+def _bound_blur(p: FloatArray) -> FloatArray:
+    """Keeps the extra blur where a frame can have it."""
+    p = p.copy()
+    p[2] = np.clip(p[2], *BLUR_PX2)
+    return p
 
 
 def _fit_orbit(sharp: SharpTarget, setting: Setting, blur: ExtraBlur, starts: list[FloatArray]) -> Solution:
@@ -230,7 +238,7 @@ def _fit_straight(
     else:
         weights, model = pixel_weights(sharp, setting.planes, scale), blurred_model(setting, shapes.straight)
         light = free.light - free.light_part @ step
-        best = solve(setting.planes, weights, model, start, prior, light=light)
+        best = solve(setting.planes, weights, model, start, prior, bound=_bound_blur, light=light)
     exact = blurred_model(setting, shapes.straight, exact=True)
     ax, ay = best.p[3 + k :]
     best = weigh_grain(sharp, setting, best, exact, np.array([ax**2, ax * ay, ay**2]), prior)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from labdaemon.blur.light import render_light
-from labdaemon.blur.mosaic import Planes
+from labdaemon.blur.mosaic import Planes, split
 from labdaemon.blur.normal import Prior
+from labdaemon.blur.pixels import Patch
 from labdaemon.blur.solve import approach, one_step, restricted, solve
 
 SHAPE = (4, 20, 22)
@@ -98,3 +99,14 @@ def test_a_restricted_solution_is_the_one_with_fewer_parameters(linear):
     np.testing.assert_allclose(found.signal, direct.signal, atol=0.5)
     assert found.dof == direct.dof
     assert found.cost == pytest.approx(direct.cost, rel=1e-3)
+
+
+def test_sums_that_overflow_single_precision_leave_the_prior():
+    dark = np.random.default_rng(1).random((1, 12, 12))
+    values = 1000.0 * (1 - 0.9 * dark[0])
+    planes = split(Patch(values, np.zeros((12, 12), np.uint8), np.ones((12, 12), bool), (0, 0)))
+    wild = np.full((2, *dark.shape), 1e30, dtype=np.float32)
+    prior = Prior(np.array([0.0, 3.0]), np.diag([0.0, 1.0]))
+    start = np.array([1.0, 2.0])
+    found = solve(planes, lambda s: np.full(s.shape, 0.01), lambda _: (dark, wild), start, prior)
+    np.testing.assert_allclose(found.p, [1.0, 3.0], atol=0.01)
