@@ -20,7 +20,7 @@ from labdaemon.blur.cover import fixed
 from labdaemon.blur.light import light_level, render_light
 from labdaemon.blur.locate import Blob
 from labdaemon.blur.model import Setting, blurred_model, standing
-from labdaemon.blur.mosaic import Planes, interleave, make_grid, split
+from labdaemon.blur.mosaic import Planes, deal, interleave, make_grid, split
 from labdaemon.blur.motion import ExtraBlur, Measurement, nothing
 from labdaemon.blur.normal import Solution
 from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
@@ -266,16 +266,13 @@ def _is_target(sharp: SharpTarget, planes: Planes, solution: Solution) -> bool:
 def _without(setting: Setting, solution: Solution, hidden: BoolArray, sharp: SharpTarget, blur: ExtraBlur) -> Setting:
     """The setting with the cover masked and the motion that was found to start from."""
     planes = setting.planes
-    height, width = planes.values.shape[1:]
-    step = planes.period
-    rows = [hidden[int(oy) :: step, int(ox) :: step][:height, :width] for ox, oy in planes.offset_px]
     p, a = solution.p, solution.p[-2:]
     moment = sharp.form.moment_px2 + blur.mean_px2 * np.eye(2) + np.outer(a, a) / 2
     left, top = planes.origin_px
     box = (left, top, left + hidden.shape[1], top + hidden.shape[0])
     blob = Blob(hidden, p[:2].copy(), moment, box, 0.0, False)
     return replace(
-        setting, planes=replace(planes, valid=planes.valid & ~np.stack(rows)), start_px=p[:2].copy(), blob=blob
+        setting, planes=replace(planes, valid=planes.valid & ~deal(planes, hidden)), start_px=p[:2].copy(), blob=blob
     )
 
 

@@ -12,7 +12,7 @@ from labdaemon.blur import shapes
 from labdaemon.blur.light import render_light, solve_light
 from labdaemon.blur.locate import find_blob
 from labdaemon.blur.model import Setting, blurred_model
-from labdaemon.blur.mosaic import interleave
+from labdaemon.blur.mosaic import deal, interleave
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
@@ -51,20 +51,12 @@ def uncovered(
         if hidden is None:
             return found
         planes = setting.planes
-        rows = np.stack([_lattice(hidden, planes.period, offset) for offset in planes.offset_px.astype(int)])
-        height, width = planes.values.shape[1:]
-        setting = replace(setting, planes=replace(planes, valid=planes.valid & ~rows[:, :height, :width]))
+        setting = replace(setting, planes=replace(planes, valid=planes.valid & ~deal(planes, hidden)))
         again = fit(setting)
         if Flag.POOR_FIT not in again.flags:
             return replace(again, flags=again.flags | {Flag.OCCLUDED})
         found = again
     return found
-
-
-def _lattice(picture: BoolArray, period: int, offset: FloatArray) -> BoolArray:
-    ox, oy = int(offset[0]), int(offset[1])
-    result: BoolArray = picture[oy::period, ox::period]
-    return result
 
 
 def _odd_place(sharp: SharpTarget, setting: Setting, found: Measurement) -> BoolArray | None:

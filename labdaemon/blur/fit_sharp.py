@@ -14,7 +14,7 @@ from labdaemon.blur.locate import Blob, find_blob, masked
 from labdaemon.blur.mosaic import Grid, Planes, make_grid, split
 from labdaemon.blur.noise import estimate_noise
 from labdaemon.blur.normal import Prior, Solution
-from labdaemon.blur.papermap import map_paper
+from labdaemon.blur.papermap import EDGE_PX, map_paper
 from labdaemon.blur.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.relief import Relief, find_relief, paper_around
 from labdaemon.blur.render import darkness, shifted, single
@@ -26,7 +26,6 @@ from labdaemon.flags import Flag
 
 COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
 SMEARED_PX2, SMEARED_PART = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
-EDGE_PX = 4.5  # how far the paper's edge is kept away
 MARGIN_PX = 16  # between a patch and its periodic images
 SUSPECT_CHI2 = 1.5  # from which a sharp frame is tested for smear; neighbours judge noise to a factor of two
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
@@ -105,8 +104,8 @@ def _attempt(
     if not known or not target.usable or not isinstance(target.form, Ellipse) or target.form.relief is not None:
         return target
     radius = max(target.form.half_size_px)
-    single = _mean_of(used, count)
-    grain, seen = map_paper(patch, planes, solution, target.centre_px, radius, dot.paper_px, single)
+    averaged = _mean_of(used, count)
+    grain, seen = map_paper(patch, planes, solution, target.centre_px, radius, dot.paper_px, averaged)
     texture = used.texture if noise is not None and noise.texture else seen.texture
     return replace(target, paper=grain, noise=replace(used, texture=texture, texture_px=seen.texture_px))
 

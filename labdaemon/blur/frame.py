@@ -9,11 +9,10 @@ import numpy as np
 from labdaemon.blur.defocus import blur_of_targets
 from labdaemon.blur.law import DisplacementLaw
 from labdaemon.blur.measure import measure
-from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window
+from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, starts_for
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.texture import Texture
-from labdaemon.errors import UsageError
 
 
 def measure_frame(
@@ -51,9 +50,7 @@ def measure_frame(
     UsageError
         Sequences of different lengths.
     """
-    if len(sharps) != len(patches) or (starts is not None and len(starts) != len(sharps)):
-        raise UsageError("give one patch (and one start, if any) for each sharp target")
-    begin: Sequence[Start | None] = starts if starts is not None else [None] * len(sharps)
+    begin = starts_for(sharps, patches, starts)
 
     def one(index: int, blur: ExtraBlur | None, *, curved: bool) -> Measurement:
         return measure(

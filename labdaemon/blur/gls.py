@@ -26,7 +26,7 @@ from scipy import fft
 from labdaemon.blur import shapes
 from labdaemon.blur.light import derivatives, light_coordinates, light_level, ridge
 from labdaemon.blur.model import Setting
-from labdaemon.blur.mosaic import Planes, interleave
+from labdaemon.blur.mosaic import Planes, deal, interleave
 from labdaemon.blur.normal import Prior, Solution, inverse_scaled
 from labdaemon.blur.papermap import grain_power, half_plane
 from labdaemon.blur.pixels import FloatArray, NoiseModel
@@ -73,7 +73,7 @@ def weigh_grain(
     signal = interleave(planes, solution.signal)
     grain = _Grain.seen(sharp, planes, solution, moment_px2, signal, interleave(planes, level))
     left = planes.values - solution.signal
-    extra = [solution.signal * bend for bend in _bends(planes)] + [_dealt(planes, one) for one in grain.pictures]
+    extra = [solution.signal * bend for bend in _bends(planes)] + [deal(planes, one) for one in grain.pictures]
     wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), single(np.stack((*extra, left)))))
     free = interleave(planes, _without_light(wanted, columns[:, k:], single(weight)))
     size = tuple(int(fft.next_fast_len(length + MARGIN_PX, real=True)) for length in root.shape)
@@ -174,13 +174,6 @@ def _bends(planes: Planes) -> list[FloatArray]:
     """Quadratic surfaces over the patch."""
     u, v = light_coordinates(planes)
     return [u * u - 1 / 3, u * v, v * v - 1 / 3]
-
-
-def _dealt(planes: Planes, pictures: FloatArray) -> FloatArray:
-    """(..., n, h, w) lattices of (..., H, W) pictures: the inverse of `interleave`."""
-    step = planes.period
-    parts = [pictures[..., int(oy) :: step, int(ox) :: step] for ox, oy in planes.offset_px]
-    return np.stack(parts, axis=-3)
 
 
 def _without_light(pictures: FloatArray, light: FloatArray, weight: FloatArray) -> FloatArray:

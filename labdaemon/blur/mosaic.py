@@ -44,13 +44,6 @@ class Planes:
     period: int
     origin_px: tuple[int, int]
 
-    def positions(self) -> tuple[FloatArray, FloatArray]:
-        """Frame coordinates x and y of every pixel, broadcastable to (n, h, w)."""
-        _, height, width = self.values.shape
-        x = self.origin_px[0] + self.offset_px[:, 0, None, None] + self.period * np.arange(width)[None, None, :]
-        y = self.origin_px[1] + self.offset_px[:, 1, None, None] + self.period * np.arange(height)[None, :, None]
-        return x.astype(np.float64), y.astype(np.float64)
-
 
 def split(patch: Patch) -> Planes:
     """Split a patch into its channels' lattices.
@@ -157,6 +150,12 @@ def to_lattice(spectrum: Any, grid: Grid, period: int) -> FloatArray:
     if period > 1:
         result /= period**2
     return result
+
+
+def deal(planes: Planes, pictures: NDArray[Any]) -> NDArray[Any]:
+    """(..., n, h, w) lattices of (..., H, W) pictures of one frame: the inverse of `interleave`."""
+    step = planes.period
+    return np.stack([pictures[..., int(oy) :: step, int(ox) :: step] for ox, oy in planes.offset_px], axis=-3)
 
 
 def interleave(planes: Planes, values: FloatArray) -> FloatArray:

@@ -7,11 +7,13 @@ and b the minor one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from labdaemon.blur.pixels import FloatArray
+from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 
@@ -143,6 +145,21 @@ class StillMeasurement:
     covariance_px2: FloatArray
     flags: frozenset[Flag] = field(default_factory=frozenset)
     chi2: float = 1.0
+
+
+def starts_for(
+    sharps: Sequence[object], patches: Sequence[object], starts: Sequence[Start | None] | None
+) -> Sequence[Start | None]:
+    """One start a target, None where none was given.
+
+    Raises
+    ------
+    UsageError
+        Not one patch, and one start if any, for each target.
+    """
+    if len(sharps) != len(patches) or (starts is not None and len(starts) != len(sharps)):
+        raise UsageError("give one patch (and one start, if any) for each sharp target")
+    return starts if starts is not None else [None] * len(sharps)
 
 
 def nothing(target: str, flags: set[Flag]) -> Measurement:

@@ -145,6 +145,8 @@ def map_paper(
     y = (np.arange(height) + wide.origin_px[1] - centre_px[1])[:, None]
     distance = np.hypot(x, y)
     paper = wide.valid & (distance < reach) & (distance > radius_px + RIM_PX)
+    if not paper.any():
+        return None, noise
     dark, white = np.zeros(wide.shape), np.zeros(wide.shape)
     for channel in np.unique(wide.channel):
         here = paper & (wide.channel == channel)

@@ -19,14 +19,13 @@ from labdaemon.blur.axes import positive
 from labdaemon.blur.defocus import default_blur
 from labdaemon.blur.honesty import POOR_CHI2, REST_SIGMAS
 from labdaemon.blur.model import prepare
-from labdaemon.blur.motion import ExtraBlur, Start, Window
+from labdaemon.blur.motion import ExtraBlur, Start, Window, starts_for
 from labdaemon.blur.orbits import minor_axis
 from labdaemon.blur.pixels import FloatArray, Patch
 from labdaemon.blur.sharp import SharpTarget
 from labdaemon.blur.standing import middle_phase, profile_phase
 from labdaemon.blur.steady import smear_spread
 from labdaemon.blur.windowed import Exposures
-from labdaemon.errors import UsageError
 
 NEARLY_RAD = np.radians((1.0, 2.0, 4.0))
 """How far from the common phase the targets of a nearly standing motion may be: standard deviations to choose from."""
@@ -112,9 +111,7 @@ def relative_signs(
     UsageError
         Sequences of different lengths.
     """
-    if len(sharps) != len(patches) or (starts is not None and len(starts) != len(sharps)):
-        raise UsageError("give one patch (and one start, if any) for each sharp target")
-    begin: Sequence[Start | None] = starts if starts is not None else [None] * len(sharps)
+    begin = starts_for(sharps, patches, starts)
     clues = [
         clue_of(sharp, patch, window, extra_blur, start)
         for sharp, patch, start in zip(sharps, patches, begin, strict=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
+from labdaemon.blur.papermap import REACH_PX
 from labdaemon.blur.pixels import FloatArray
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
@@ -245,7 +246,7 @@ def _sizes(view: View, survey: CameraSurvey) -> tuple[float, float]:
 
 def _around(dot: Dot, frame: RawFrame) -> Patch:
     """The part of a frame that holds a dot and its paper."""
-    half = int(np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + 130.0))))
+    half = int(np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + REACH_PX))))
     return frame.patch(round(dot.x_px) - half, round(dot.y_px) - half, 2 * half + 1, 2 * half + 1)
 
 
