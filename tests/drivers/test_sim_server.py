@@ -160,22 +160,22 @@ def test_it_ends(end, eventually):
         "import sys,time; from labdrivers.sim.server import start; rig = start(small=True); "
         "print(rig.pid, rig.addresses.control, flush=True); time.sleep(60)"
     )
-    parent = subprocess.Popen([sys.executable, "-c", keeper], stdout=subprocess.PIPE, text=True)
-    pid, control = parent.stdout.readline().split()
-    if end == "signal":
-        os.kill(int(pid), signal.SIGTERM)
-    elif end == "parent":
-        parent.kill()
-    else:
-        from labdrivers.sim.control import ControlClient
+    with subprocess.Popen([sys.executable, "-c", keeper], stdout=subprocess.PIPE, text=True) as parent:
+        try:
+            pid, control = parent.stdout.readline().split()
+            if end == "signal":
+                os.kill(int(pid), signal.SIGTERM)
+            elif end == "parent":
+                parent.kill()
+            else:
+                from labdrivers.sim.control import ControlClient
 
-        client = ControlClient(control)
-        client.ask("quit")
-        client.close()
-    assert eventually(lambda: gone(int(pid)), 5.0)
-    parent.kill()
-    parent.wait()
-    parent.stdout.close()
+                client = ControlClient(control)
+                client.ask("quit")
+                client.close()
+            assert eventually(lambda: gone(int(pid)), 20.0)
+        finally:
+            parent.kill()
 
 
 def gone(pid):

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -188,26 +189,30 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input closes")
     options = parser.parse_args(arguments)
     spec = _spec(options.seed, options.small)
-    stop = threading.Event()
+    ended, end = os.pipe()
+
+    def stop(*_: object) -> None:
+        os.write(end, b".")  # takes no lock: a handler may run while this very thread waits
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, stop)
     rig = SimulatedRig(spec, cards=options.cards, enable_wired=not options.enable_not_wired)
     ports = {name: TcpPort(device) for name, device in rig.wires.items()}
-    bus, control = BusServer(rig.bus), ControlServer(Control(rig, stop.set))
+    bus, control = BusServer(rig.bus), ControlServer(Control(rig, stop))
     urls = {name: port.url for name, port in ports.items()}
     addresses = {"ports": urls, "backend": "sim-remote", "backend_url": bus.url, "control": control.url}
     print(json.dumps(addresses), flush=True)
     if options.follow_stdin:
         threading.Thread(target=_wait_for_end, args=(stop,), daemon=True).start()
-    stop.wait()
+    os.read(ended, 1)
     rig.shut_down()
     os._exit(0)  # connections' threads need no farewell
 
 
-def _wait_for_end(stop: threading.Event) -> None:
+def _wait_for_end(stop: Callable[[], None]) -> None:
     while os.read(0, 4096):
         pass
-    stop.set()
+    stop()
 
 
 if __name__ == "__main__":
