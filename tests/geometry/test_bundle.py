@@ -306,10 +306,10 @@ def test_a_whole_campaign_in_one_adjustment(look) -> None:
         0.02,
         survey,
     )
-    started = time.process_time()
+    started = time.thread_time()
     result = adjust(network)
     covariance = result.point_covariance()
-    took = time.process_time() - started
+    took = time.thread_time() - started
     assert took < 30
     assert result.sigma0 == pytest.approx(1.0, abs=0.02)
     ends = result.network.points[16:].reshape(20, 2, 200, 3)
