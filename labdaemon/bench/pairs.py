@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 
 NEAR_MM = 12.0
 """A reported target farther than this from a true one is another."""

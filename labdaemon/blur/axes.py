@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 
 
 def positive(vector: FloatArray) -> FloatArray:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.defocus import blur_of_targets
 from labdaemon.blur.law import DisplacementLaw
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, starts_for
-from labdaemon.blur.pixels import FloatArray, Patch
-from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.texture import Texture
+from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.sharp.texture import Texture
+from labdaemon.blur.smear.defocus import blur_of_targets
 
 
 def measure_frame(

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.defocus import default_blur
-from labdaemon.blur.honesty import reach_flags
-from labdaemon.blur.known_window import unphased
 from labdaemon.blur.measure import WHOLE, measure
-from labdaemon.blur.model import Setting, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
-from labdaemon.blur.pixels import FloatArray, Patch
-from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.steady import Steady, fit_steady
-from labdaemon.blur.windowed import FRAME, Exposures
+from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.phase.known_window import unphased
+from labdaemon.blur.phase.steady import Steady, fit_steady
+from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.smear.defocus import default_blur
+from labdaemon.blur.smear.honesty import reach_flags
+from labdaemon.blur.smear.model import Setting, prepare
+from labdaemon.blur.smear.windowed import FRAME, Exposures
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdaemon.blur.motion import Window
-from labdaemon.blur.pixels import ComplexArray, FloatArray
+from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.errors import UsageError
 
 

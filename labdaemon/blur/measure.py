@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from labdaemon.blur.beside import is_plain_dot, measure_beside
-from labdaemon.blur.cover import contrast_left, uncovered, why_nothing
-from labdaemon.blur.declared import measure_declared
-from labdaemon.blur.defocus import default_blur
-from labdaemon.blur.known_window import measure_known_window
+from labdaemon.blur.fit.beside import is_plain_dot, measure_beside
+from labdaemon.blur.fit.cover import contrast_left, uncovered, why_nothing
+from labdaemon.blur.fit.declared import measure_declared
+from labdaemon.blur.fit.whole_cycles import measure_whole_cycles
 from labdaemon.blur.law import DisplacementLaw
-from labdaemon.blur.model import Setting, prepare
 from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
-from labdaemon.blur.pixels import FloatArray, Patch
-from labdaemon.blur.sharp import SharpTarget
-from labdaemon.blur.whole_cycles import measure_whole_cycles
+from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.phase.known_window import measure_known_window
+from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.smear.defocus import default_blur
+from labdaemon.blur.smear.model import Setting, prepare
 from labdaemon.flags import Flag
 
 COVERED_CHI2 = 2.5  # residuals from which something in front is looked for; a motion's own harmonics make less

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur import ellipse
-from labdaemon.blur.ellipse import Ellipse
-from labdaemon.blur.pixels import Dot
+from labdaemon.blur.patch import ellipse
+from labdaemon.blur.patch.ellipse import Ellipse
+from labdaemon.blur.patch.pixels import Dot
 from labdaemon.imaging.blobs import find_blobs
 from labdaemon.imaging.frame import Grey, RawFrame
 from labdaemon.imaging.margin import paper_extent

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.pixels import FloatArray, Patch
+from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.errors import DataError
 from labdaemon.imaging.hot import isolated, within_neighbours
 from labdaemon.imaging.lazily import LazyPicture

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError, UsageError
 from labdaemon.geometry.lattice import Node, grow_lattice, place_lattices, placed
 from labdaemon.imaging.codes import dictionary

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.network import Network, Pose

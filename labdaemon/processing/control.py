@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.geometry.lens import Lens
 from labdaemon.imaging.codes import Tag, by_name, centre_of, families, find_tags

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labdaemon.blur.motion import Measurement
-from labdaemon.blur.signs import stated
+from labdaemon.blur.phase.signs import stated
 from labdaemon.flags import Flag
 from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion

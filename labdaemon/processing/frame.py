@@ -18,8 +18,8 @@ from labdaemon.blur import (
     measure_group,
     relative_signs,
 )
-from labdaemon.blur.cover import why_nothing
-from labdaemon.blur.paper import measure_paper
+from labdaemon.blur.fit.cover import why_nothing
+from labdaemon.blur.published.method import measure_paper
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labdaemon.blur import Measurement, Window
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.flags import Flag
 
 PART = 0.05

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
-from labdaemon.blur.papermap import REACH_PX
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.sharp.papermap import REACH_PX
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.imaging.lazily import LazyPicture, Picture
 from labdaemon.processing.smears import Filter, Look, Smear, all_smears, best_smear, filters, reduce
 

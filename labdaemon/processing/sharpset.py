@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens

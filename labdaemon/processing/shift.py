@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labdaemon.blur import ExtraBlur, Patch, Start, StillMeasurement, frame_blur, measure_still
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.processing.control import ControlTargets, read_places

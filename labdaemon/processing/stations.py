@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.geometry.together import ControlPoint, Sighting, orient_together
 from labdaemon.processing.correspond import SeenDots, correspond

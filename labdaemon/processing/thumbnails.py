@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from labdaemon.blur.pixels import FloatArray
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.imaging.lazily import Picture
 from labdaemon.processing.smears import Look, reduce
 

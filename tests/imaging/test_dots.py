@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labdaemon.blur.pixels import Dot
+from labdaemon.blur.patch.pixels import Dot
 from labdaemon.imaging.codes import dictionary
 from labdaemon.imaging.dots import find_dots
 from labdaemon.imaging.frame import RawFrame

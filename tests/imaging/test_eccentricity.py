@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.blur.ellipse import fit
+from labdaemon.blur.patch.ellipse import fit
 from labdaemon.imaging.eccentricity import centre_shift, ellipse_centre
 
 

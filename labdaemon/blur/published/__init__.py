@@ -1,0 +1,1 @@
+"""The published method, whole: the baseline that the default is held against."""

@@ -1,0 +1,1 @@
+"""Least squares on patches, with each channel's light eliminated."""
