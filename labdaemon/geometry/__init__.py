@@ -5,7 +5,7 @@ from labdaemon.geometry.join import Joined, JoinedTargets, join, join_targets, s
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
 from labdaemon.geometry.orient import Orientation, orient
-from labdaemon.geometry.plane import Plane, fit_plane, motion_on_plane
+from labdaemon.geometry.plane import Plane, fit_plane, motion_on_plane, seen_unmoved
 from labdaemon.geometry.together import ControlPoint, Sighting, Together, orient_together
 from labdaemon.geometry.view import View
 
@@ -29,5 +29,6 @@ __all__ = [
     "motion_on_plane",
     "orient",
     "orient_together",
+    "seen_unmoved",
     "settle_by_continuity",
 ]

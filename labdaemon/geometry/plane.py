@@ -23,6 +23,7 @@ from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.orbit import largest_sign, principal_axes
 from labdaemon.geometry.snoop import PointProblem, reason
+from labdaemon.geometry.view import View
 
 SMALLEST_SURVEY_SD_MM = 0.05
 """What a survey can hardly beat; judges coplanarity where a smaller one is claimed."""
@@ -198,6 +199,49 @@ def fit_plane(
         off_plane_mm=off_plane,
         excluded={names[i]: reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()},
         sigma0=sigma0,
+    )
+
+
+def seen_unmoved(plane: Plane, motion: ImageMotion, sharp: View, moved: Sequence[View]) -> ImageMotion:
+    """Picture that a motion would have had, had the camera not moved since the sharp frame.
+
+    Parameters
+    ----------
+    plane
+        From `fit_plane`, on the sharp frame.
+    motion
+        What was seen.
+    sharp, moved
+        The camera as it stood in the sharp frame, and in each frame that `motion` was measured in (means are taken).
+
+    Returns
+    -------
+    ImageMotion
+        The mean shifted, a and b turned with the picture.
+    """
+    back = motion.mean_px
+    turn = np.eye(2)
+    # The first round finds the place, the second how the picture moved there.
+    for _ in range(2):
+        place = plane.to_object(plane.to_plane(back[None]))
+        pixels, by_point, _ = sharp.project_with_jacobians(place)
+        then = [view.project_with_jacobians(place)[:2] for view in moved]
+        back = motion.mean_px - np.mean([other[0] - pixels[0] for other, _ in then], axis=0)
+        if not np.isfinite(back).all():
+            return replace(motion, mean_px=back)
+        turn = np.mean([by_point[0] @ plane.axes @ np.linalg.inv(by[0] @ plane.axes) for _, by in then], axis=0)
+    return _turned(motion, turn, back - motion.mean_px)
+
+
+def _turned(motion: ImageMotion, turn: FloatArray, shift: FloatArray) -> ImageMotion:
+    every = np.kron(np.eye(3), turn)
+    return replace(
+        motion,
+        mean_px=motion.mean_px + shift,
+        a_px=turn @ motion.a_px,
+        b_px=turn @ motion.b_px,
+        covariance_px2=every @ motion.covariance_px2 @ every.T,
+        axes=None if motion.axes is None else _turned(motion.axes, turn, shift),
     )
 
 

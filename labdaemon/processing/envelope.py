@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -14,7 +14,7 @@ from labdaemon.blur.phase.signs import stated
 from labdaemon.flags import Flag
 from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
-from labdaemon.geometry.plane import motion_on_plane
+from labdaemon.geometry.plane import motion_on_plane, seen_unmoved
 from labdaemon.geometry.view import View
 from labdaemon.processing.folder import DataFolder, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
@@ -134,7 +134,7 @@ def join_frames(
 
 
 def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str, ObjectMotion]:
-    """One camera: motion in the plane, the frame's own shift taken off its means."""
+    """One camera: motion in the plane, the frame's own shift and turn taken off."""
     plane, camera = sharp.plane, sharp.cameras[0]
     assert plane is not None
     result = {}
@@ -144,9 +144,7 @@ def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str
             continue
         picture = _image_motion(measurement)
         if frame.motions:
-            place = plane.to_object(plane.to_plane(picture.mean_px[None]))
-            shifts = [m.view.project(place) - camera.view.project(place) for m in frame.motions]
-            picture = replace(picture, mean_px=picture.mean_px - np.mean(shifts, axis=0)[0])
+            picture = seen_unmoved(plane, picture, camera.view, [m.view for m in frame.motions])
         motion = motion_on_plane(plane, picture)
         if np.isfinite(motion.mean_mm).all():
             result[target] = motion

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.errors import DataError
-from labdaemon.geometry import ImageMotion, fit_plane, motion_on_plane
+from labdaemon.geometry import ImageMotion, fit_plane, motion_on_plane, seen_unmoved
 from labdaemon.geometry.harmonic import project_motion
 
 NAMES = list("abcdefgh")
@@ -45,6 +45,27 @@ def test_exact_numbers_come_back_exactly(look, angle: float, size: float, tilt: 
     np.testing.assert_allclose(motion.a_mm, a, atol=1e-5)
     np.testing.assert_allclose(motion.b_mm, b, atol=1e-5)
     assert abs(motion.a_mm @ plane.normal) < 1e-9
+
+
+def test_a_camera_that_turned_turns_no_vector(look) -> None:
+    """A frame shifted and turned by a quarter of a degree: mean, a and b are still those of the plane."""
+    angle = 0.3
+    control, along = board(angle)
+    view = in_front(look, angle)
+    plane = fit_plane(view.lens, view.project(control), control, names=NAMES)
+    moved = [view.moved(np.array([1e-3, -2e-3, 0.0044 * k, 0.3, 0.0, -0.2])) for k in (1, 2)]
+    mean, up = along * 200 + np.array([0.0, 0.0, 500.0]), np.array([0.0, 0.0, 1.0])
+    a, b = 4.0 * along + 3.0 * up, 0.8 * along - 0.5 * up
+    seen = picture(moved[0], mean, a, b)
+    assert np.linalg.norm(motion_on_plane(plane, seen).a_mm - a) > 0.01
+    motion = motion_on_plane(plane, seen_unmoved(plane, seen, view, moved[:1]))
+    np.testing.assert_allclose(motion.mean_mm, mean, atol=2e-4)
+    np.testing.assert_allclose(motion.a_mm, a, atol=2e-5)
+    np.testing.assert_allclose(motion.b_mm, b, atol=2e-5)
+    both = [picture(one, mean, a, b) for one in moved]
+    between = (np.mean([getattr(one, name) for one in both], axis=0) for name in ("mean_px", "a_px", "b_px"))
+    joined = motion_on_plane(plane, seen_unmoved(plane, ImageMotion(*between, np.eye(6), True), view, moved))
+    np.testing.assert_allclose(joined.a_mm, a, atol=2e-4)
 
 
 def test_the_papers_regression(look) -> None:
