@@ -270,3 +270,27 @@ def test_a_dot_that_came_nearer_on_its_way_aside_is_larger_and_moves_no_more(are
         sd = np.sqrt(along @ found.covariance_px2[2:4, 2:4] @ along)
         pulls.append((np.hypot(*found.a_px) - np.hypot(*a)) / sd)
     assert np.sqrt(np.mean(np.square(pulls))) < 1.7
+
+
+@pytest.mark.parametrize("depth", [0.1, 0.3])
+def test_bands_of_flicker_are_flagged_or_measured(area, depth):
+    """Light that comes and goes from row to row looks like something in front, until nothing is left to see."""
+    scene = area.Scene()
+    sharp, _ = sharp_of(area, scene)
+    blurred, _ = blurred_of(area, scene, (5.0, 2.0))
+    bands = 1 + depth * np.sin(0.15 * np.arange(blurred.shape[0]))[:, None]
+    found = measure(sharp, replace(blurred, values=blurred.values * bands))
+    right = np.hypot(*found.a_px) == pytest.approx(np.hypot(5.0, 2.0), abs=0.1)
+    assert right or found.flags
+
+
+def test_what_may_all_have_clipped_shows_no_motion(area):
+    """Of an even patch at the ceiling no pixel counts: no numbers, no crash."""
+    scene = area.Scene()
+    sharp, _ = sharp_of(area, scene)
+    patch, _ = blurred_of(area, scene, (5.0, 2.0))
+    bright = np.full(patch.shape, float(patch.values.max()))
+    valid = np.random.default_rng(3).random(patch.shape) < 0.9
+    found = measure(sharp, replace(patch, values=bright, valid=valid))
+    assert found.flags
+    assert not np.isfinite(found.a_px).any()

@@ -278,7 +278,7 @@ def _without(setting: Setting, solution: Solution, hidden: BoolArray, sharp: Sha
 
 def _agreed(near: Measurement, far: Measurement, lost: Measurement) -> Measurement:
     """The measurement with the wider margin, and what the narrower one says otherwise as error; or nothing."""
-    if Flag.POOR_FIT in far.flags or not np.isfinite(far.covariance_px2[:4, :4]).all():
+    if Flag.POOR_FIT in far.flags or not all(np.isfinite(one.covariance_px2[:4, :4]).all() for one in (near, far)):
         return lost
     sign = -1.0 if float(near.a_px @ far.a_px) < 0 else 1.0
     away = np.concatenate((near.centre_px - far.centre_px, sign * near.a_px - far.a_px, sign * near.b_px - far.b_px))

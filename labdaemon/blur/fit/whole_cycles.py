@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from labdaemon.blur.axes import moment_axes, moment_matrix, positive, principal
-from labdaemon.blur.motion import ExtraBlur, Measurement
+from labdaemon.blur.motion import ExtraBlur, Measurement, nothing
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.sharp.target import Ellipse, SharpTarget
 from labdaemon.blur.sharp.weights import noise_scale, nuisance_prior, pixel_weights
@@ -63,6 +63,8 @@ def measure_whole_cycles(
             break
         setting = again
         free = _fit_orbit(sharp, setting, blur, [free.p])
+    if free.dof <= 0:  # all is masked, or is bright enough to have been at white level
+        return nothing(sharp.name, flags | {Flag.NOT_FOUND})
     scale = noise_scale(sharp, free)
     spread = honest_covariance(sharp, free, setting.planes)
     lam, _, _, cov = principal(free.p[3 + k :], spread[3 + k :, 3 + k :])
