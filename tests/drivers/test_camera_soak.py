@@ -58,9 +58,9 @@ def test_no_file_is_lost_doubled_or_torn(rig, make_camera, tmp_path, seed):
 
     def remember(content, captured_at=None):
         unique = content + rng.randbytes(rng.choice([0, 1, 400, 5000, 1_200_000]))
-        handles = add(unique, captured_at)
-        contents[body.card.get(handles[-1]).name] = unique
-        return handles
+        # Noted first: once on the card, it may be fetched and deleted before anything else is done here.
+        contents[f"DSC_{len(contents) + 1:04d}.DNG"] = unique
+        return add(unique, captured_at)
 
     body.card.add = remember
     collector = Collector(make_camera(timeout_s=0.25), tmp_path)
