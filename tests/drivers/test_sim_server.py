@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import signal
@@ -154,7 +155,7 @@ def test_the_rig_file_is_rewritten_to_its_ports(running):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", ["signal", "parent", "quit"])
+@pytest.mark.parametrize("end", ["signal", "signal to another thread", "parent", "quit"])
 def test_it_ends(end, eventually):
     keeper = (
         "import sys,time; from labdrivers.sim.server import start; rig = start(small=True); "
@@ -165,6 +166,9 @@ def test_it_ends(end, eventually):
             pid, control = parent.stdout.readline().split()
             if end == "signal":
                 os.kill(int(pid), signal.SIGTERM)
+            elif end == "signal to another thread":  # as a kernel may choose
+                thread = next(t for t in os.listdir(f"/proc/{pid}/task") if t != pid)
+                assert ctypes.CDLL(None).tgkill(int(pid), int(thread), int(signal.SIGTERM)) == 0
             elif end == "parent":
                 parent.kill()
             else:

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -189,13 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input closes")
     options = parser.parse_args(arguments)
     spec = _spec(options.seed, options.small)
-    ended, end = os.pipe()
-
-    def stop(*_: object) -> None:
-        os.write(end, b".")  # takes no lock: a handler may run while this very thread waits
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    ended, stop = _end_on_signals()
     rig = SimulatedRig(spec, cards=options.cards, enable_wired=not options.enable_not_wired)
     ports = {name: TcpPort(device) for name, device in rig.wires.items()}
     bus, control = BusServer(rig.bus), ControlServer(Control(rig, stop))
@@ -207,6 +202,26 @@ def main(arguments: list[str] | None = None) -> int:
     os.read(ended, 1)
     rig.shut_down()
     os._exit(0)  # connections' threads need no farewell
+
+
+def _end_on_signals() -> tuple[int, Callable[[], None]]:
+    """A descriptor that becomes readable when the rig is to end, and what makes it so, beside SIGINT and SIGTERM.
+
+    The interpreter's low-level handler writes to it, in whichever thread the kernel chose to interrupt. A handler in
+    Python would not do: it runs in the main thread only, which reads; a signal to another thread, or in the moment
+    before the read begins, leaves it reading for ever.
+    """
+    ended, end = os.pipe()
+    os.set_blocking(end, False)
+    signal.set_wakeup_fd(end, warn_on_full_buffer=False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: None)
+    return ended, lambda: _nudge(end)
+
+
+def _nudge(end: int) -> None:
+    with suppress(BlockingIOError):  # full of reasons already
+        os.write(end, b".")
 
 
 def _wait_for_end(stop: Callable[[], None]) -> None:
