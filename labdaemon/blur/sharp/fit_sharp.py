@@ -28,6 +28,7 @@ COMMON = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
 SMEARED_PX2, SMEARED_PART = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
 MARGIN_PX = 16  # between a patch and its periodic images
 SUSPECT_CHI2 = 1.5  # from which a sharp frame is tested for smear; neighbours judge noise to a factor of two
+LEFT_BY_GRAIN = 0.75  # of the noise between neighbours; less than this it does not get by taking grain off
 DOUBTFUL_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
 
 
@@ -129,6 +130,12 @@ def _noise(
         return NoiseModel(first.read_dn, first.gain_dn, first.texture or found.texture, found.texture_px), True
     if solution.chi2 > DOUBTFUL_CHI2:
         return first, False
+    seen = solution.weight > 0
+    paper = np.percentile(solution.signal[seen], 95) if seen.any() else np.array(0.0)
+    if found.variance(paper) < LEFT_BY_GRAIN * first.variance(paper):
+        # Of strong grain a little too much taken off leaves next to nothing, and would have every pixel believed.
+        read, gain = np.sqrt(LEFT_BY_GRAIN) * first.read_dn, LEFT_BY_GRAIN * first.gain_dn
+        return NoiseModel(read, gain, found.texture, found.texture_px), True
     return found, True
 
 
@@ -274,8 +281,10 @@ def _relief(planes: Planes, paper: BoolArray, solution: Solution) -> Relief | No
 def _target(
     dot: Dot, planes: Planes, paper: BoolArray, solution: Solution, lens: Lens, noise: NoiseModel, known: bool
 ) -> SharpTarget:
-    relief = _relief(planes, paper, solution)
-    scale = max(solution.chi2, 1.0) if relief is None else 1.0
+    relief, chi2 = _relief(planes, paper, solution), solution.chi2
+    if relief is not None and known and noise.texture > 0 and relief.is_grain(float(np.max(solution.p[[2, 4]]))):
+        relief, chi2 = None, _chi2_with(noise, planes, solution)
+    scale = max(chi2, 1.0) if relief is None else 1.0
     covariance = solution.covariance * scale
     n = planes.values.shape[0]
     # The blur that a fit of motion can confuse with motion is the mean over channels, extra and diffraction together.
@@ -293,9 +302,9 @@ def _target(
     fitted = 0.5 < axes[0] / dot.semi_minor_px < 2 and np.all(np.isfinite(solution.p)) and min(contrast.values()) > 0.02
     if not fitted:
         flags.add(Flag.NOT_FOUND)
-    if solution.chi2 > DOUBTFUL_CHI2 and relief is None:
+    if chi2 > DOUBTFUL_CHI2 and relief is None:
         flags.add(Flag.POOR_FIT)
-    if solution.chi2 > SUSPECT_CHI2 and _is_smeared(planes, solution):
+    if chi2 > SUSPECT_CHI2 and _is_smeared(planes, solution):
         flags.add(Flag.POOR_FIT)
     # The channels' offsets are relative to the target's own centre: on average there is none.
     mean = np.zeros((2, len(solution.p)))
@@ -303,5 +312,12 @@ def _target(
     mean[0, COMMON + 2 :: 4] = mean[1, COMMON + 3 :: 4] = 1 / n
     centre, cov = mean @ solution.p, mean @ covariance @ mean.T
     return SharpTarget(
-        dot.name, centre, cov, form, contrast, noise, known, dot.paper_px, solution.chi2, frozenset(flags)
+        dot.name, centre, cov, form, contrast, noise, known, dot.paper_px, chi2, frozenset(flags)
     )
+
+
+def _chi2_with(noise: NoiseModel, planes: Planes, solution: Solution) -> float:
+    """Residual variance over what noise and grain make of it."""
+    used = solution.weight > 0
+    raw = solution.residual[used] ** 2 / solution.weight[used]
+    return float(np.mean(raw * noise_weights(noise, planes)(solution.signal)[used]))
