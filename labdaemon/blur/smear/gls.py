@@ -26,7 +26,7 @@ from scipy import fft
 from labdaemon.blur.patch.light import derivatives, light_coordinates, light_level, ridge
 from labdaemon.blur.patch.mosaic import Planes, deal, interleave
 from labdaemon.blur.patch.pixels import FloatArray, NoiseModel
-from labdaemon.blur.sharp.papermap import grain_power, half_plane
+from labdaemon.blur.sharp.papermap import half_plane, left_power
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.model import Setting
 from labdaemon.blur.solver.normal import Prior, Solution, inverse_scaled
@@ -162,9 +162,7 @@ class _Grain:
     def spectrum(self, share: tuple[float, float], size: tuple[int, ...]) -> FloatArray:
         """Spectrum of the grain that no map tells of, relative to the paper's brightness squared."""
         fx, fy = half_plane(size)
-        power = grain_power(self.noise, fx**2 + fy**2)
-        if np.isfinite(self.unseen):
-            power = power * self.unseen / (power + self.unseen)
+        power = left_power(self.noise, self.unseen, fx, fy)
         smear = shapes.smear(fx, fy, self.blur_px2, self.moment_px2)
         result: FloatArray = power * (share[0] ** 2 * smear**2 + share[1] ** 2)
         return result
