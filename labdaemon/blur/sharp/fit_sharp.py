@@ -100,9 +100,13 @@ def _attempt(
     paper = paper_around(cut, np.array([dot.x_px, dot.y_px]), dot.semi_major_px)
     planes = split(masked(cut, ~paper))
     solution, lens = _fit(dot, planes, _mean_of(first, count), blob)
-    used, known = _noise(planes, solution, first, count, given=noise is not None)
-    target = _target(dot, planes, paper, solution, lens, used, known)
-    if not known or not target.usable or not isinstance(target.form, Ellipse) or target.form.relief is not None:
+    relief = _relief(planes, paper, solution)
+    grainy = relief is not None and relief.is_grain(float(np.max(solution.p[[2, 4]])))
+    used, known = _noise(planes, solution, first, count, given=noise is not None, grainy=grainy)
+    if grainy and known and used.texture > 0:
+        relief = None
+    target = _target(dot, planes, relief, solution, lens, used, known)
+    if not known or not target.usable or relief is not None:
         return target
     radius = max(target.form.half_size_px)
     averaged = _mean_of(used, count)
@@ -117,18 +121,18 @@ def _mean_of(noise: NoiseModel, frames: int) -> NoiseModel:
 
 
 def _noise(
-    planes: Planes, solution: Solution, first: NoiseModel, frames: int, *, given: bool
+    planes: Planes, solution: Solution, first: NoiseModel, frames: int, *, given: bool, grainy: bool
 ) -> tuple[NoiseModel, bool]:
     """The noise model for later fits, and whether it can be relied on.
 
     The residuals of a dot that fits are noise and grain. They are not where the dot does not fit: where they are much
-    larger than what neighbouring pixels of one colour differ by.
+    larger than what neighbouring pixels of one colour differ by, and not `grainy`.
     """
     left = np.where(solution.weight > 0, solution.residual / np.sqrt(np.maximum(solution.weight, 1e-300)), 0.0)
     found = noise_of_residuals(planes, left, solution.signal, solution.weight, frames)
     if given:
         return NoiseModel(first.read_dn, first.gain_dn, first.texture or found.texture, found.texture_px), True
-    if solution.chi2 > DOUBTFUL_CHI2:
+    if solution.chi2 > DOUBTFUL_CHI2 and not grainy:
         return first, False
     seen = solution.weight > 0
     paper = np.percentile(solution.signal[seen], 95) if seen.any() else np.array(0.0)
@@ -279,12 +283,10 @@ def _relief(planes: Planes, paper: BoolArray, solution: Solution) -> Relief | No
 
 
 def _target(
-    dot: Dot, planes: Planes, paper: BoolArray, solution: Solution, lens: Lens, noise: NoiseModel, known: bool
+    dot: Dot, planes: Planes, relief: Relief | None, solution: Solution, lens: Lens, noise: NoiseModel, known: bool
 ) -> SharpTarget:
-    relief, chi2 = _relief(planes, paper, solution), solution.chi2
-    if relief is not None and known and noise.texture > 0 and relief.is_grain(float(np.max(solution.p[[2, 4]]))):
-        relief, chi2 = None, _chi2_with(noise, planes, solution)
-    scale = max(chi2, 1.0) if relief is None else 1.0
+    chi2 = _chi2_with(noise, planes, solution) if known and relief is None else solution.chi2  # grain is noise too
+    scale = max(solution.chi2, 1.0) if relief is None else 1.0  # but shared by neighbours, so that it weighs more
     covariance = solution.covariance * scale
     n = planes.values.shape[0]
     # The blur that a fit of motion can confuse with motion is the mean over channels, extra and diffraction together.
@@ -311,9 +313,7 @@ def _target(
     mean[0, 0] = mean[1, 1] = 1.0
     mean[0, COMMON + 2 :: 4] = mean[1, COMMON + 3 :: 4] = 1 / n
     centre, cov = mean @ solution.p, mean @ covariance @ mean.T
-    return SharpTarget(
-        dot.name, centre, cov, form, contrast, noise, known, dot.paper_px, chi2, frozenset(flags)
-    )
+    return SharpTarget(dot.name, centre, cov, form, contrast, noise, known, dot.paper_px, chi2, frozenset(flags))
 
 
 def _chi2_with(noise: NoiseModel, planes: Planes, solution: Solution) -> float:

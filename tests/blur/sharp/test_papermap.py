@@ -2,9 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from labdaemon.blur import Dot, ExtraBlur, Patch, fit_sharp, measure
-from labdaemon.blur.sharp.papermap import half_plane
+from labdaemon.blur import Dot, ExtraBlur, NoiseModel, Patch, fit_sharp, measure
+from labdaemon.blur.sharp.papermap import AROUND_PX, grain_power, half_plane, left_power
 
 SIZE, CENTRE, RADIUS = (130, 130), (64.2, 65.1), 12.0
 STILL = ExtraBlur(0.0, 0.01)
@@ -118,3 +119,24 @@ def test_frequencies_are_those_of_a_real_transform():
     fx, fy = half_plane((6, 8))
     np.testing.assert_allclose(fx[0], np.fft.rfftfreq(8))
     np.testing.assert_allclose(fy[:, 0], np.fft.fftfreq(6))
+
+
+def test_what_is_left_of_the_grain_has_the_stated_power():
+    """Grain less its map, both as pictures: filtered by the Wiener filter, and the mean of a square taken off."""
+    size, noise, unseen = (256, 256), NoiseModel(1.0, 0.1, 0.01, 2.0), 2e-5
+    fx, fy = half_plane(size)
+    power = grain_power(noise, fx**2 + fy**2)
+    stated = left_power(noise, unseen, fx, fy)
+    found = np.zeros_like(stated)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        grain = np.fft.irfft2(np.fft.rfft2(rng.normal(size=size)) * np.sqrt(power), s=size)
+        seen = grain + rng.normal(0.0, np.sqrt(unseen), size)
+        seen -= ndimage.uniform_filter(seen, AROUND_PX, mode="wrap")
+        mapped = np.fft.irfft2(np.fft.rfft2(seen) * (power / (power + unseen)), s=size)
+        found += np.abs(np.fft.rfft2(grain - mapped)) ** 2 / (20 * size[0] * size[1])
+    f = np.hypot(fx, fy)
+    for low, high in ((0.0, 0.02), (0.02, 0.05), (0.05, 0.1), (0.1, 0.3)):
+        band = (f >= low) & (f < high)
+        assert np.mean(found[band]) == pytest.approx(np.mean(stated[band]), rel=0.1)
+    assert left_power(noise, np.inf, fx, fy) == pytest.approx(power)
