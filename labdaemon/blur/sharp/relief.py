@@ -47,7 +47,7 @@ class Relief:
         return self.rms > STRONG
 
     def is_grain(self, radius_px: float) -> bool:
-        """Whether it is weak and nowhere stronger than on bare paper, as grain is; a dot's rough edge shows at its edge.
+        """Whether it is weak and nowhere stronger than on bare paper; a rough dot shows at its edge.
 
         Grain may stay behind when the dot moves, relief may not.
         """

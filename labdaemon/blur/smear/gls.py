@@ -26,7 +26,7 @@ from scipy import fft
 from labdaemon.blur.patch.light import derivatives, light_coordinates, light_level, ridge
 from labdaemon.blur.patch.mosaic import Planes, deal, interleave
 from labdaemon.blur.patch.pixels import FloatArray, NoiseModel
-from labdaemon.blur.sharp.papermap import half_plane, left_power
+from labdaemon.blur.sharp.papermap import grain_power, half_plane, left_power
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.model import Setting
 from labdaemon.blur.solver.normal import Prior, Solution, inverse_scaled
@@ -78,7 +78,7 @@ def weigh_grain(
     free = interleave(planes, _without_light(wanted, columns[:, k:], single(weight)))
     size = tuple(int(fft.next_fast_len(length + MARGIN_PX, real=True)) for length in root.shape)
     share = grain.share(free[k + 3 : -1], free[-1], root)
-    spectrum = grain.spectrum(share, size)
+    spectrum = grain.spectrum(share, _bared(sharp, planes, free[3 + setting.shapes : k], root), size)
     paper = root > 0
     ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
     keep = 1 / (1 + ratio * spectrum)
@@ -159,13 +159,41 @@ class _Grain:
         moving, still = np.clip(found, 0.0, MOST)
         return float(moving), float(still)
 
-    def spectrum(self, share: tuple[float, float], size: tuple[int, ...]) -> FloatArray:
-        """Spectrum of the grain that no map tells of, relative to the paper's brightness squared."""
+    def spectrum(self, share: tuple[float, float], bared: float, size: tuple[int, ...]) -> FloatArray:
+        """Spectrum of the grain that no map tells of, relative to the paper's brightness squared.
+
+        Parameters
+        ----------
+        share
+            How much of the grain moves, and how much stands.
+        bared
+            Part of what the motion shows by that is seen against paper which the dot at rest covered.
+        size
+            Of the pictures (h, w).
+        """
         fx, fy = half_plane(size)
-        power = left_power(self.noise, self.unseen, fx, fy)
+        left = left_power(self.noise, self.unseen, fx, fy)
         smear = shapes.smear(fx, fy, self.blur_px2, self.moment_px2)
-        result: FloatArray = power * (share[0] ** 2 * smear**2 + share[1] ** 2)
+        standing = left + bared * (grain_power(self.noise, fx**2 + fy**2) - left)
+        result: FloatArray = share[0] ** 2 * left * smear**2 + share[1] ** 2 * standing
         return result
+
+
+def _bared(sharp: SharpTarget, planes: Planes, by_motion: FloatArray, root: FloatArray) -> float:
+    """Part of the motion's information that lies where the dot was at rest: nobody has seen the paper there.
+
+    Parameters
+    ----------
+    by_motion
+        (m, h, w) derivatives by the motion's parameters.
+    root
+        (h, w) inverse deviations.
+    """
+    x, y = sharp.centre_px - np.asarray(planes.origin_px)
+    height, width = root.shape
+    covered = np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) < max(sharp.form.half_size_px)
+    told = np.sum((by_motion * root) ** 2, axis=0)
+    return float(np.sum(told[covered]) / max(float(np.sum(told)), 1e-300))
 
 
 def _bends(planes: Planes) -> list[FloatArray]:

@@ -94,13 +94,12 @@ def test_grain_that_stands_still_behind_the_dot_is_taken_off_too(area):
         scene = scene_of(area, texture=0.012, seed=seed)
         sharp = sharp_of(area, scene, seed=100 + seed)
         plain = area.render(replace(scene, texture=0.0), SIZE, CENTRE, area.whole_cycles(*a), seed=None, samples=120)
-        away = around() > RADIUS + 1
-        still = plain.values * (1 - np.where(away, grain_of(area, scene), 0.0))
+        still = plain.values * (1 - grain_of(area, scene))  # also where the dot covered it at rest
         found = measure(sharp, with_noise(scene, still, 300 + seed), extra_blur=STILL)
         along = found.a_px / np.hypot(*found.a_px)
         sd = np.sqrt(along @ found.covariance_px2[2:4, 2:4] @ along)
         pulls.append((float(np.hypot(*found.a_px)) - float(np.hypot(*a))) / sd)
-    assert np.sqrt(np.mean(np.square(pulls))) < 1.6
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
 
 def test_bent_light_does_not_stretch_a_smear(area):
