@@ -25,7 +25,7 @@ RIM_PX = 4.0  # around the dot where the fit knows the light better than a surfa
 EDGE_PX = 4.5  # how far the paper's blurred edge is kept away
 REACH_PX = 130.0  # of paper around a dot that is kept: twice the longest smears
 LEAST_PIXELS = 400  # of each colour
-AROUND_PX = 21  # square over which the paper's brightness is averaged: what is longer is light, not grain
+AROUND_PX = 41  # square over which the paper's brightness is averaged: what is longer is light, not grain
 ROUGH = 1.5  # variance, against noise and grain near the dot, from which this is not plain paper
 
 
