@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from labdaemon.blur import Dot, ExtraBlur, Window, fit_sharp, measure_group
+from labdaemon.blur.phase.mirror import mirrored
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -119,3 +120,26 @@ def test_a_phase_that_shows_less_than_its_circle_is_straight_keeps_its_axis_apar
     found = measure_group(sharp, pictures, windows, extra_blur=STILL)
     assert found.phased
     assert (found.axes is not None) == bent
+
+
+@pytest.mark.parametrize("apart", [0.0, np.pi, 0.002])
+@pytest.mark.parametrize("motion", [(6.0, 1.5, -4.0, -1.0), (5.0, 1.0, -1.0, 2.5)])
+def test_frames_that_see_the_same_part_of_the_cycle_have_a_mirror_image(area, sharp, motion, apart):
+    phases = (0.9, 0.9 + apart)
+    found = measure_group(
+        sharp, frames(area, motion, 5.5, phases), [Window(5.5, 1.0, p) for p in phases], extra_blur=STILL
+    )
+    assert Flag.AMBIGUOUS in found.flags
+    got = np.concatenate((found.a_px, found.b_px))
+    middle = 0.9 + 5.5 * np.pi
+    images = [np.array(motion), np.concatenate(mirrored(np.array(motion[:2]), np.array(motion[2:]), middle))]
+    assert min(np.abs(got - one).max() for one in images) < 0.3
+
+
+def test_a_mirror_image_is_the_same_picture_from_the_middle_on():
+    a, b, middle = np.array([6.0, 1.5]), np.array([-4.0, 2.0]), 0.7
+    images = mirrored(a, b, middle)
+    for away in (0.3, 1.1):
+        before = a * np.sin(middle - away) + b * np.cos(middle - away)
+        after = images[0] * np.sin(middle + away) + images[1] * np.cos(middle + away)
+        np.testing.assert_allclose(before, after)

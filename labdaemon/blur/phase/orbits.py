@@ -9,6 +9,7 @@ import numpy as np
 from labdaemon.blur.law import nodes_transfer, standing_transfer, window_nodes
 from labdaemon.blur.patch.light import render_light, solve_light
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
+from labdaemon.blur.phase.mirror import images
 from labdaemon.blur.phase.standing import LEAST_VARIANCE, PhaseProfile
 from labdaemon.blur.smear.honesty import honest_covariance
 from labdaemon.blur.smear.model import Motion
@@ -95,9 +96,10 @@ def solve_orbit(
     solutions = [solve(planes, weights, model, start, prior, max_iterations=25) for start in promising]
     if len(senses) > 1:
         best = min(solutions, key=lambda x: x.cost)
-        a, b = _other_way_round(best.p[-4:-2], best.p[-2:])
-        start = exposures.begin(a, b, np.concatenate((a, b)))
-        solutions.append(solve(planes, weights, model, start, prior, max_iterations=25))
+        a_b = best.p[-4:-2], best.p[-2:]
+        for a, b in (_other_way_round(*a_b), *images(exposures, *a_b)):
+            start = exposures.begin(a, b, np.concatenate((a, b)))
+            solutions.append(solve(planes, weights, model, start, prior, max_iterations=25))
     solutions.sort(key=lambda x: x.cost)
     best = solutions[0]
     information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)

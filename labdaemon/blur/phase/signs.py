@@ -18,8 +18,9 @@ from scipy.interpolate import PchipInterpolator
 from labdaemon.blur.axes import positive
 from labdaemon.blur.motion import ExtraBlur, Start, Window, starts_for
 from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.phase.mirror import middle_phase
 from labdaemon.blur.phase.orbits import minor_axis
-from labdaemon.blur.phase.standing import middle_phase, profile_phase
+from labdaemon.blur.phase.standing import profile_phase
 from labdaemon.blur.phase.steady import smear_spread
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_blur

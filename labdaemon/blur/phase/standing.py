@@ -30,6 +30,7 @@ import numpy as np
 from labdaemon.blur.law import window_nodes
 from labdaemon.blur.patch.light import render_light, solve_light
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.mirror import apart, images, middle_phase
 from labdaemon.blur.sharp.texture import Texture
 from labdaemon.blur.smear.windowed import FRAME, Exposures, phase_motion, standing_motion
 from labdaemon.blur.solver.normal import Solution
@@ -58,6 +59,8 @@ class PhaseProfile:
         (n, 2) v there, all on one side; (n, 2) the mean position, mean over frames.
     best
         The best solution with its phase, shape and all: …, vx, vy, ψ last.
+    image
+        Of several frames, the best solution that is its mirror image in time, where there is one.
     periodic
         Whether the phases go round the circle.
     """
@@ -67,6 +70,7 @@ class PhaseProfile:
     vector_px: FloatArray
     place_px: FloatArray
     best: Solution
+    image: Solution | None
     periodic: bool
 
     @property
@@ -83,12 +87,6 @@ class PhaseProfile:
     def sd_phase(self) -> float:
         """Its linear standard deviation."""
         return float(np.sqrt(max(self.best.covariance[-1, -1], 0.0)))
-
-
-def middle_phase(exposures: Exposures) -> float:
-    """Excitation phase at the middle of the first exposure, an unknown opening phase counting as 0."""
-    window = exposures.windows[0]
-    return (window.phase_rad or 0.0) + np.pi * window.cycles
 
 
 def profile_phase(exposures: Exposures, spread: FloatArray) -> PhaseProfile:
@@ -128,8 +126,10 @@ def profile_phase(exposures: Exposures, spread: FloatArray) -> PhaseProfile:
             found[index] = _at(held, float(phases[index]), reach, start, near.light, weight)
             last = index
     solutions = [found[index] for index in range(len(phases))]
-    best = _bottom(exposures, phases, solutions, reach, periodic=periodic)
-    if not periodic:
+    best, image = _bottom(exposures, phases, solutions, reach, periodic=periodic), None
+    if periodic:
+        best, image = _with_image(exposures, best, reach)
+    else:
         # Long smears have valleys that are narrow between the phases tried.
         phase = float(best.p[-1])
         place = int(np.searchsorted(phases, phase))
@@ -142,7 +142,7 @@ def profile_phase(exposures: Exposures, spread: FloatArray) -> PhaseProfile:
     vectors = np.array([one.p[-2:] for one in solutions])
     frames = len(exposures.settings)
     places = np.array([one.p[: FRAME * frames].reshape(frames, FRAME)[:, :2].mean(axis=0) for one in solutions])
-    return PhaseProfile(phases, cost, vectors, places, best, periodic)
+    return PhaseProfile(phases, cost, vectors, places, best, image, periodic)
 
 
 def _course(exposures: Exposures, phase_rad: float) -> tuple[list[float], float]:
@@ -203,6 +203,25 @@ def _bottom(
             best = found
     assert best is not None
     return best
+
+
+def _with_image(exposures: Exposures, best: Solution, reach_px: float) -> tuple[Solution, Solution | None]:
+    """The better one of a solution and its images in time, and the best of the others."""
+    model, prior = exposures.model(phase_motion, reach_px), exposures.prior(3)
+    v, phase = best.p[-3:-1], float(best.p[-1])
+    found = [best]
+    for a, b in images(exposures, v * np.cos(phase), v * np.sin(phase)):
+        start = best.p.copy()
+        start[-1] += np.remainder(np.arctan2(b @ v, a @ v) - phase + np.pi, 2 * np.pi) - np.pi
+        found.append(solve(exposures.planes, exposures.weights, model, start, prior, light=best.light))
+    found.sort(key=lambda one: one.cost)
+    others = [one for one in found[1:] if apart(*_vectors(found[0]), *_vectors(one))]
+    return found[0], others[0] if others else None
+
+
+def _vectors(solution: Solution) -> tuple[FloatArray, FloatArray]:
+    v, phase = solution.p[-3:-1], float(solution.p[-1])
+    return v * np.cos(phase), v * np.sin(phase)
 
 
 def _first_vector(held: Exposures, spread: FloatArray, phase_rad: float) -> FloatArray:

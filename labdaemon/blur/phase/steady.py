@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.phase.chances import CLOSE, Standing, summed_up, two_valleys
+from labdaemon.blur.phase.chances import APART, CLOSE, Standing, summed_up, two_valleys
 from labdaemon.blur.phase.orbits import across, minor_axis, solve_orbit
 from labdaemon.blur.phase.standing import PhaseProfile, profile_phase
 from labdaemon.blur.phase.turning import all_turnings, at_phase
@@ -92,27 +92,37 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         size, sd = _size(value[2:], held[2:, 2:])
         loose, alone = False, len(exposures.windows) == 1
         near = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
+        # A single frame has its mirror image in time.
+        rival = alone or (near and other is not None and _apart(pick @ other.p - value, covariance))
         if not alone and (near or _sd_phase(value, covariance) > UNSURE_RAD):
             covariance, loose = all_turnings(exposures, profile, best, value, covariance)
-        # A single frame has its mirror image in time.
-        steady = Steady(value, covariance, size, sd, best, profile, None, held, 0.0, loose, alone)
+        steady = Steady(value, covariance, size, sd, best, profile, None, held, 0.0, loose, rival)
         return replace(steady, one_sided_px2=one_sided)
     best = profile.best
     covariance = honest_covariance(exposures.sharp, best, exposures.planes)
     covariance = covariance + timing_covariance(best, exposures, phase_motion)
     pick = _picking(exposures, len(best.p), 3)
-    standing = summed_up(profile, pick @ best.p, pick @ covariance @ pick.T)
+    linear = pick @ covariance @ pick.T
+    standing = summed_up(profile, pick @ best.p, linear)
     size, sd = _size(standing.axis[2:], standing.axis_covariance[2:, 2:])
     beside = minor.mean_square(size)
     n, c, s = across(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = standing.covariance + beside * np.outer(quarter_later, quarter_later)
-    rival = two_valleys(profile)
+    image, rival = profile.image, two_valleys(profile)
+    if image is not None and image.cost - best.cost < CLOSE * max(best.chi2, 1.0):
+        rival = rival or _apart(pick @ (image.p - best.p), linear)
     held = np.zeros((6, 6))
     steady = Steady(
         standing.value, covariance, size, sd, best, profile, standing, held, beside, standing.is_loose, rival
     )
     return replace(steady, one_sided_px2=one_sided)
+
+
+def _apart(away: FloatArray, covariance: FloatArray) -> bool:
+    """Whether two solutions lie in valleys of their own, by the curvature of one: half-way it costs more than APART."""
+    motion = away[2:]
+    return float(motion @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ motion) > 4 * APART
 
 
 def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:

@@ -135,7 +135,7 @@ def _noise(
     if solution.chi2 > DOUBTFUL_CHI2 and not grainy:
         return first, False
     seen = solution.weight > 0
-    paper = np.percentile(solution.signal[seen], 95) if seen.any() else np.array(0.0)
+    paper = np.array(np.percentile(solution.signal[seen], 95) if seen.any() else 0.0)
     if found.variance(paper) < LEFT_BY_GRAIN * first.variance(paper):
         # Of strong grain a little too much taken off leaves next to nothing, and would have every pixel believed.
         read, gain = np.sqrt(LEFT_BY_GRAIN) * first.read_dn, LEFT_BY_GRAIN * first.gain_dn
