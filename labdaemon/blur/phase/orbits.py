@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,10 +71,10 @@ def minor_axis(exposures: Exposures, profile: PhaseProfile) -> MinorAxis:
 
 def solve_orbit(
     exposures: Exposures, spread: FloatArray, profile: PhaseProfile, minor_px: float
-) -> tuple[Solution, Solution | None]:
-    """Best orbit, and the best one that differs from it; a and b are the last four parameters.
+) -> tuple[Solution, Solution | None, Solution | None]:
+    """Best orbit, the best one that differs from it, and its image in time; a and b are the last four parameters.
 
-    The mirror image in time of a single frame is no other solution: it is left out.
+    The image in time of a single frame is no other solution: it is left out.
 
     Parameters
     ----------
@@ -89,23 +90,35 @@ def solve_orbit(
     pairs += [turned(profile.vector, profile.phase, turn * minor_px) for turn in senses]
     size = max(float(np.hypot(np.hypot(*a), np.hypot(*b))) for a, b in pairs)
     model, prior = exposures.model(orbit_motion, 3.0 + 1.3 * size), exposures.prior(4)
-    starts = [exposures.begin(a, b, np.concatenate((a, b))) for a, b in pairs]
-    costs = [_rough_cost(exposures, model(start)[0]) for start in starts]
-    promising = [starts[index] for index in np.argsort(costs)[:SHORT_LIST]]
     planes, weights = exposures.planes, exposures.weights
-    solutions = [solve(planes, weights, model, start, prior, max_iterations=25) for start in promising]
+
+    def begun(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> list[FloatArray]:
+        return [exposures.begin(a, b, np.concatenate((a, b))) for a, b in pairs]
+
+    def solved(starts: Sequence[FloatArray]) -> list[Solution]:
+        return [solve(planes, weights, model, start, prior, max_iterations=25) for start in starts]
+
+    starts = begun(pairs)
+    costs = [_rough_cost(exposures, model(start)[0]) for start in starts]
+    solutions = solved([starts[index] for index in np.argsort(costs)[:SHORT_LIST]])
+    best = min(solutions, key=lambda x: x.cost)
+    mirror: list[Solution] = []
     if len(senses) > 1:
+        solutions += solved(begun([_other_way_round(best.p[-4:-2], best.p[-2:])]))
         best = min(solutions, key=lambda x: x.cost)
-        a_b = best.p[-4:-2], best.p[-2:]
-        for a, b in (_other_way_round(*a_b), *images(exposures, *a_b)):
-            start = exposures.begin(a, b, np.concatenate((a, b)))
-            solutions.append(solve(planes, weights, model, start, prior, max_iterations=25))
-    solutions.sort(key=lambda x: x.cost)
-    best = solutions[0]
+        mirror = solved(begun(images(exposures, best.p[-4:-2], best.p[-2:])))
+        image = min(mirror, key=lambda x: x.cost, default=best)
+        if image.cost < best.cost:
+            best, mirror = image, [best]
+    return best, _best_other(best, solutions + mirror), _best_other(best, mirror)
+
+
+def _best_other(best: Solution, solutions: list[Solution]) -> Solution | None:
+    """The best of several that are not the best one again."""
     information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)
-    away = [(x, x.p[-4:] - best.p[-4:]) for x in solutions[1:]]
+    away = [(x, x.p[-4:] - best.p[-4:]) for x in solutions]
     others = [x for x, d in away if float(d @ information @ d) > DIFFERENT]
-    return best, others[0] if others else None
+    return min(others, key=lambda x: x.cost, default=None)
 
 
 def _round_the_circle(exposures: Exposures, spread: FloatArray, turn: float) -> list[tuple[FloatArray, FloatArray]]:

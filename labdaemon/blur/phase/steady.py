@@ -83,7 +83,7 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     one_sided = max(blur.one_sided_px2 for blur in exposures.blurs)
     unsure = float(np.hypot(minor.sd_square_px2, one_sided))
     if orbit and minor.square_px2 > REST_SIGMAS * unsure:
-        best, other = solve_orbit(exposures, spread, profile, float(np.sqrt(minor.square_px2)))
+        best, other, image = solve_orbit(exposures, spread, profile, float(np.sqrt(minor.square_px2)))
         covariance = honest_covariance(exposures.sharp, best, exposures.planes)
         covariance = covariance + timing_covariance(best, exposures, orbit_motion)
         pick = _picking(exposures, len(best.p), 4)
@@ -91,9 +91,9 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         held = at_phase(value, covariance)
         size, sd = _size(value[2:], held[2:, 2:])
         loose, alone = False, len(exposures.windows) == 1
+        # A single frame has its image in time. The other sense of turning is in the deviations instead of a flag.
+        rival = alone or _rivals(image, best, pick, covariance)
         near = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
-        # A single frame has its mirror image in time.
-        rival = alone or (near and other is not None and _apart(pick @ other.p - value, covariance))
         if not alone and (near or _sd_phase(value, covariance) > UNSURE_RAD):
             covariance, loose = all_turnings(exposures, profile, best, value, covariance)
         steady = Steady(value, covariance, size, sd, best, profile, None, held, 0.0, loose, rival)
@@ -109,9 +109,7 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     n, c, s = across(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = standing.covariance + beside * np.outer(quarter_later, quarter_later)
-    image, rival = profile.image, two_valleys(profile)
-    if image is not None and image.cost - best.cost < CLOSE * max(best.chi2, 1.0):
-        rival = rival or _apart(pick @ (image.p - best.p), linear)
+    rival = two_valleys(profile) or _rivals(profile.image, best, pick, linear)
     held = np.zeros((6, 6))
     steady = Steady(
         standing.value, covariance, size, sd, best, profile, standing, held, beside, standing.is_loose, rival
@@ -119,10 +117,12 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     return replace(steady, one_sided_px2=one_sided)
 
 
-def _apart(away: FloatArray, covariance: FloatArray) -> bool:
-    """Whether two solutions lie in valleys of their own, by the curvature of one: half-way it costs more than APART."""
-    motion = away[2:]
-    return float(motion @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ motion) > 4 * APART
+def _rivals(image: Solution | None, best: Solution, pick: FloatArray, covariance: FloatArray) -> bool:
+    """Whether an image in time fits as well from a valley of its own: half-way to it costs more than APART."""
+    if image is None or image.cost - best.cost > CLOSE * max(best.chi2, 1.0):
+        return False
+    away = (pick @ (image.p - best.p))[2:]
+    return float(away @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ away) > 4 * APART
 
 
 def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
