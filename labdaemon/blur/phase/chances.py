@@ -52,7 +52,7 @@ def summed_up(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> S
         (5,) and (5, 5) x, y, vx, vy, ψ of the best solution and their linear covariance.
     """
     phases, chance, others = chances(profile)
-    value = _vectors_of(p[None])[0]
+    value = vectors_of(p[None])[0]
     scatter = 2 * float(chance @ (1 - np.cos(phases - p[4])))
     if max(covariance[4, 4], scatter) < BROAD_RAD**2:
         c, s, v = np.cos(p[4]), np.sin(p[4]), p[2:4]
@@ -67,7 +67,7 @@ def summed_up(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> S
         return Standing(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, bent)
     at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / max(covariance[4, 4], 1e-12)
     axis = chance @ others[:, :4]
-    total = _scatter(chance, _vectors_of(others) - value)
+    total = _scatter(chance, vectors_of(others) - value)
     for weight, phase in zip(chance, phases, strict=True):
         total += weight * _by_axis(float(phase)) @ at_phase @ _by_axis(float(phase)).T
     return Standing(axis, at_phase + _scatter(chance, others[:, :4] - axis), value, total, True)
@@ -86,7 +86,7 @@ def _by_axis(phase_rad: float) -> FloatArray:
     return result
 
 
-def _vectors_of(standing: FloatArray) -> FloatArray:
+def vectors_of(standing: FloatArray) -> FloatArray:
     """(n, 6) x, y, ax, ay, bx, by of (n, 5) x, y, vx, vy, ψ."""
     c, s = np.cos(standing[:, 4:]), np.sin(standing[:, 4:])
     return np.concatenate((standing[:, :2], c * standing[:, 2:4], s * standing[:, 2:4]), axis=1)

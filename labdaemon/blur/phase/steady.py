@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.phase.chances import APART, CLOSE, Standing, summed_up, two_valleys
-from labdaemon.blur.phase.orbits import across, minor_axis, solve_orbit
+from labdaemon.blur.phase.chances import APART, CLOSE, Standing, summed_up, two_valleys, vectors_of
+from labdaemon.blur.phase.orbits import DIFFERENT, across, minor_axis, solve_orbit
 from labdaemon.blur.phase.standing import PhaseProfile, profile_phase
 from labdaemon.blur.phase.turning import all_turnings, at_phase
 from labdaemon.blur.smear.honesty import REST_SIGMAS, honest_covariance
 from labdaemon.blur.smear.windowed import FRAME, Exposures, orbit_motion, phase_motion, timing_covariance
 from labdaemon.blur.solver.normal import Solution
 
+EVEN = 2.0  # difference of squared residuals up to which an image in time is as good, whatever the deviations
 UNSURE_RAD = 0.1  # deviation of an orbit's phase from which all phases are tried
 
 
@@ -92,10 +93,12 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         size, sd = _size(value[2:], held[2:, 2:])
         loose, alone = False, len(exposures.windows) == 1
         # A single frame has its image in time. The other sense of turning is in the deviations instead of a flag.
-        rival = alone or _rivals(image, best, pick, covariance)
+        linear = covariance
         near = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
         if not alone and (near or _sd_phase(value, covariance) > UNSURE_RAD):
             covariance, loose = all_turnings(exposures, profile, best, value, covariance)
+        away = None if image is None else pick @ image.p - value
+        rival = alone or _rivals(best, image, away, linear, away, covariance)
         steady = Steady(value, covariance, size, sd, best, profile, None, held, 0.0, loose, rival)
         return replace(steady, one_sided_px2=one_sided)
     best = profile.best
@@ -109,7 +112,10 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     n, c, s = across(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = standing.covariance + beside * np.outer(quarter_later, quarter_later)
-    rival = two_valleys(profile) or _rivals(profile.image, best, pick, linear)
+    image = profile.image
+    away = None if image is None else pick @ (image.p - best.p)
+    vectors = None if image is None else vectors_of((pick @ image.p)[None])[0] - standing.value
+    rival = two_valleys(profile) or _rivals(best, image, away, linear, vectors, covariance)
     held = np.zeros((6, 6))
     steady = Steady(
         standing.value, covariance, size, sd, best, profile, standing, held, beside, standing.is_loose, rival
@@ -117,12 +123,37 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     return replace(steady, one_sided_px2=one_sided)
 
 
-def _rivals(image: Solution | None, best: Solution, pick: FloatArray, covariance: FloatArray) -> bool:
-    """Whether an image in time fits as well from a valley of its own: half-way to it costs more than APART."""
-    if image is None or image.cost - best.cost > CLOSE * max(best.chi2, 1.0):
+def _rivals(
+    best: Solution,
+    image: Solution | None,
+    away: FloatArray | None,
+    linear: FloatArray,
+    vectors: FloatArray | None,
+    covariance: FloatArray,
+) -> bool:
+    """Whether an image in time fits as well, from a valley of its own, and the deviations do not say so.
+
+    Parameters
+    ----------
+    best, image
+        The solution and its image.
+    away, linear
+        From one to the other in the fit's own terms, place first, and their linear covariance there: half-way it must
+        cost more than APART.
+    vectors, covariance
+        From one to the other as x, y, a, b, and the covariance that is reported.
+    """
+    if image is None or away is None or vectors is None:
         return False
-    away = (pick @ (image.p - best.p))[2:]
-    return float(away @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ away) > 4 * APART
+    worse = (image.cost - best.cost) / max(best.chi2, 1.0)
+    if worse > CLOSE or _distance2(away, linear) < 4 * APART:
+        return False
+    return worse < EVEN or _distance2(vectors, covariance) > DIFFERENT
+
+
+def _distance2(away: FloatArray, covariance: FloatArray) -> float:
+    motion = away[2:]
+    return float(motion @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ motion)
 
 
 def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
