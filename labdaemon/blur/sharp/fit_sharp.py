@@ -320,4 +320,4 @@ def _chi2_with(noise: NoiseModel, planes: Planes, solution: Solution) -> float:
     """Residual variance over what noise and grain make of it."""
     used = solution.weight > 0
     raw = solution.residual[used] ** 2 / solution.weight[used]
-    return float(np.mean(raw * noise_weights(noise, planes)(solution.signal)[used]))
+    return float(np.sum(raw * noise_weights(noise, planes)(solution.signal)[used])) / max(solution.dof, 1)
