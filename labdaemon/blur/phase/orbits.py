@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,9 @@ from labdaemon.blur.smear.model import Motion
 from labdaemon.blur.smear.windowed import Exposures, orbit_motion
 from labdaemon.blur.solver.normal import Solution
 from labdaemon.blur.solver.solve import one_step, solve
+
+Weights = Callable[[FloatArray], FloatArray]
+"""From modelled values to inverse variances."""
 
 SHORT_LIST = 4  # starts that are followed to their end
 LEAST_PX2 = 0.02  # of the smear's moments when a and b are guessed
@@ -90,12 +93,12 @@ def solve_orbit(
     pairs += [turned(profile.vector, profile.phase, turn * minor_px) for turn in senses]
     size = max(float(np.hypot(np.hypot(*a), np.hypot(*b))) for a, b in pairs)
     model, prior = exposures.model(orbit_motion, 3.0 + 1.3 * size), exposures.prior(4)
-    planes, weights = exposures.planes, exposures.weights
+    planes = exposures.planes
 
     def begun(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> list[FloatArray]:
         return [exposures.begin(a, b, np.concatenate((a, b))) for a, b in pairs]
 
-    def solved(starts: Sequence[FloatArray]) -> list[Solution]:
+    def solved(starts: Sequence[FloatArray], weights: Weights = exposures.weights) -> list[Solution]:
         return [solve(planes, weights, model, start, prior, max_iterations=25) for start in starts]
 
     starts = begun(pairs)
@@ -106,7 +109,8 @@ def solve_orbit(
     if len(senses) > 1:
         solutions += solved(begun([_other_way_round(best.p[-4:-2], best.p[-2:])]))
         best = min(solutions, key=lambda x: x.cost)
-        mirror = solved(begun(images(exposures, best.p[-4:-2], best.p[-2:])))
+        kept = best.weight  # so that costs can be compared
+        mirror = solved(begun(images(exposures, best.p[-4:-2], best.p[-2:])), lambda _: kept)
         image = min(mirror, key=lambda x: x.cost, default=best)
         if image.cost < best.cost:
             best, mirror = image, [best]

@@ -209,11 +209,12 @@ def _with_image(exposures: Exposures, best: Solution, reach_px: float) -> tuple[
     """The better one of a solution and its images in time, and the best of the others."""
     model, prior = exposures.model(phase_motion, reach_px), exposures.prior(3)
     v, phase = best.p[-3:-1], float(best.p[-1])
+    kept = best.weight  # so that costs can be compared
     found = [best]
     for a, b in images(exposures, v * np.cos(phase), v * np.sin(phase)):
         start = best.p.copy()
         start[-1] += np.remainder(np.arctan2(b @ v, a @ v) - phase + np.pi, 2 * np.pi) - np.pi
-        found.append(solve(exposures.planes, exposures.weights, model, start, prior, light=best.light))
+        found.append(solve(exposures.planes, lambda _: kept, model, start, prior, light=best.light))
     found.sort(key=lambda one: one.cost)
     others = [one for one in found[1:] if apart(*_vectors(found[0]), *_vectors(one))]
     return found[0], others[0] if others else None
