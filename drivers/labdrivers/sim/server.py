@@ -216,12 +216,12 @@ def _end_on_signals() -> tuple[int, Callable[[], None]]:
     signal.set_wakeup_fd(end, warn_on_full_buffer=False)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: None)
-    return ended, lambda: _nudge(end)
 
+    def stop() -> None:
+        with suppress(BlockingIOError):  # full of reasons already
+            os.write(end, b".")
 
-def _nudge(end: int) -> None:
-    with suppress(BlockingIOError):  # full of reasons already
-        os.write(end, b".")
+    return ended, stop
 
 
 def _wait_for_end(stop: Callable[[], None]) -> None:

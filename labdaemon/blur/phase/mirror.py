@@ -41,6 +41,11 @@ def images(exposures: Exposures, a: FloatArray, b: FloatArray) -> list[tuple[Flo
     return [pair for pair in pairs if apart(a, b, *pair)]
 
 
+def wrapped(angle_rad: float) -> float:
+    """The angle within half a turn of 0."""
+    return float((angle_rad + np.pi) % (2 * np.pi) - np.pi)
+
+
 def apart(a: FloatArray, b: FloatArray, other_a: FloatArray, other_b: FloatArray) -> bool:
     """Whether two motions differ by more than rounding and noise."""
     away = np.concatenate((other_a - a, other_b - b))

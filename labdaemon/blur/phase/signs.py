@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 from labdaemon.blur.axes import positive
 from labdaemon.blur.motion import ExtraBlur, Start, Window, starts_for
 from labdaemon.blur.patch.pixels import FloatArray, Patch
-from labdaemon.blur.phase.mirror import middle_phase
+from labdaemon.blur.phase.mirror import middle_phase, wrapped
 from labdaemon.blur.phase.orbits import minor_axis
 from labdaemon.blur.phase.standing import profile_phase
 from labdaemon.blur.phase.steady import smear_spread
@@ -185,7 +185,7 @@ def from_clues(clues: Sequence[Clue | None], window: Window) -> RelativeSigns:
     phases: tuple[float, ...] = ()
     if window.phase_rad is not None:
         zero = window.phase_rad + np.pi * window.cycles
-        phases = tuple(float((mu - zero + np.pi) % (2 * np.pi) - np.pi) for mu in (middle, np.pi - middle))
+        phases = tuple(wrapped(mu - zero) for mu in (middle, np.pi - middle))
     return RelativeSigns(vectors, signs, evidence, middle, sd, phases)
 
 

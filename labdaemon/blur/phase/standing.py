@@ -30,7 +30,7 @@ import numpy as np
 from labdaemon.blur.law import window_nodes
 from labdaemon.blur.patch.light import render_light, solve_light
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.phase.mirror import apart, images, middle_phase
+from labdaemon.blur.phase.mirror import apart, images, middle_phase, wrapped
 from labdaemon.blur.sharp.texture import Texture
 from labdaemon.blur.smear.windowed import FRAME, Exposures, phase_motion, standing_motion
 from labdaemon.blur.solver.normal import Solution
@@ -211,9 +211,9 @@ def _with_image(exposures: Exposures, best: Solution, reach_px: float) -> tuple[
     v, phase = best.p[-3:-1], float(best.p[-1])
     kept = best.weight  # so that costs can be compared
     found = [best]
-    for a, b in images(exposures, v * np.cos(phase), v * np.sin(phase)):
+    for a, b in images(exposures, *_vectors(best)):
         start = best.p.copy()
-        start[-1] += np.remainder(np.arctan2(b @ v, a @ v) - phase + np.pi, 2 * np.pi) - np.pi
+        start[-1] += wrapped(float(np.arctan2(b @ v, a @ v)) - phase)
         found.append(solve(exposures.planes, lambda _: kept, model, start, prior, light=best.light))
     found.sort(key=lambda one: one.cost)
     others = [one for one in found[1:] if apart(*_vectors(found[0]), *_vectors(one))]

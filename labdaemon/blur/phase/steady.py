@@ -94,11 +94,13 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
         loose, alone = False, len(exposures.windows) == 1
         # A single frame has its image in time. The other sense of turning is in the deviations instead of a flag.
         linear = covariance
-        near = other is not None and other.cost - best.cost < CLOSE * max(best.chi2, 1.0)
+        near = other is not None and _worse(best, other) < CLOSE
         if not alone and (near or _sd_phase(value, covariance) > UNSURE_RAD):
             covariance, loose = all_turnings(exposures, profile, best, value, covariance)
-        away = None if image is None else pick @ image.p - value
-        rival = alone or _rivals(best, image, away, linear, away, covariance)
+        rival = alone
+        if image is not None:
+            away = pick @ image.p - value
+            rival = rival or _rivals(_worse(best, image), away, linear, away, covariance)
         steady = Steady(value, covariance, size, sd, best, profile, None, held, 0.0, loose, rival)
         return replace(steady, one_sided_px2=one_sided)
     best = profile.best
@@ -112,10 +114,10 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     n, c, s = across(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = standing.covariance + beside * np.outer(quarter_later, quarter_later)
-    image = profile.image
-    away = None if image is None else pick @ (image.p - best.p)
-    vectors = None if image is None else vectors_of((pick @ image.p)[None])[0] - standing.value
-    rival = two_valleys(profile) or _rivals(best, image, away, linear, vectors, covariance)
+    rival, image = two_valleys(profile), profile.image
+    if image is not None:
+        vectors = vectors_of((pick @ image.p)[None])[0] - standing.value
+        rival = rival or _rivals(_worse(best, image), pick @ (image.p - best.p), linear, vectors, covariance)
     held = np.zeros((6, 6))
     steady = Steady(
         standing.value, covariance, size, sd, best, profile, standing, held, beside, standing.is_loose, rival
@@ -123,29 +125,24 @@ def fit_steady(exposures: Exposures, *, orbit: bool = True) -> Steady:
     return replace(steady, one_sided_px2=one_sided)
 
 
-def _rivals(
-    best: Solution,
-    image: Solution | None,
-    away: FloatArray | None,
-    linear: FloatArray,
-    vectors: FloatArray | None,
-    covariance: FloatArray,
-) -> bool:
+def _worse(best: Solution, other: Solution) -> float:
+    """By how many squared deviations another solution fits less well."""
+    return (other.cost - best.cost) / max(best.chi2, 1.0)
+
+
+def _rivals(worse: float, away: FloatArray, linear: FloatArray, vectors: FloatArray, covariance: FloatArray) -> bool:
     """Whether an image in time fits as well, from a valley of its own, and the deviations do not say so.
 
     Parameters
     ----------
-    best, image
-        The solution and its image.
+    worse
+        Its squared residuals beyond the best solution's.
     away, linear
         From one to the other in the fit's own terms, place first, and their linear covariance there: half-way it must
         cost more than APART.
     vectors, covariance
         From one to the other as x, y, a, b, and the covariance that is reported.
     """
-    if image is None or away is None or vectors is None:
-        return False
-    worse = (image.cost - best.cost) / max(best.chi2, 1.0)
     if worse > CLOSE or _distance2(away, linear) < 4 * APART:
         return False
     return worse < EVEN or _distance2(vectors, covariance) > DIFFERENT

@@ -103,7 +103,7 @@ def _attempt(
     relief = _relief(planes, paper, solution)
     grainy = relief is not None and relief.is_grain(float(np.max(solution.p[[2, 4]])))
     used, known = _noise(planes, solution, first, count, given=noise is not None, grainy=grainy)
-    if grainy and known and used.texture > 0:
+    if grainy and used.texture > 0:
         relief = None
     target = _target(dot, planes, relief, solution, lens, used, known)
     if not known or not target.usable or relief is not None:

@@ -101,14 +101,13 @@ def grain_power(noise: NoiseModel, f2: FloatArray) -> FloatArray:
     return result
 
 
-def left_power(noise: NoiseModel, unseen: float, fx: FloatArray, fy: FloatArray) -> FloatArray:
-    """Power of the grain that is left after what a map tells of it, relative to the paper's brightness squared, px².
+def left_power(power: FloatArray, unseen: float, fx: FloatArray, fy: FloatArray) -> FloatArray:
+    """Power of the grain that is left after what a map tells of it, from its `power`; as `grain_power`.
 
     The map is H K (g + n): g the grain, n the sharp frame's noise of power `unseen` (infinite: no map), K the Wiener
     filter, H what taking off the mean over `AROUND_PX` lets through. Left is |1 − HK|² of the grain and |HK|² of the
     noise.
     """
-    power = grain_power(noise, fx**2 + fy**2)
     if not np.isfinite(unseen):
         return power
     kept = power / (power + unseen) * (1 - np.sinc(AROUND_PX * fx) * np.sinc(AROUND_PX * fy))

@@ -14,7 +14,7 @@ from scipy import fft, ndimage
 from labdaemon.blur.patch.mosaic import Grid, Planes, interleave
 from labdaemon.blur.patch.pixels import BoolArray, ComplexArray, FloatArray, Patch
 
-RIM_PX = 3.0  # to either side of a dot's outline, where its lens blur reaches
+OUTLINE_PX = 3.0  # to either side of a dot's outline, where its lens blur reaches
 NEAR_PX = 2.5  # of paper beyond the smear that is used around a dot with strong relief
 FAINT = 0.012  # rms of relief, relative to the dot's contrast, below which it is grain and better counted as noise
 STRONG = 0.02  # rms of relief, relative to the dot's contrast, that is no longer small
@@ -54,7 +54,7 @@ class Relief:
         height, width = self.dark.shape
         x, y = np.arange(width) - self.centre_px[0], np.arange(height)[:, None] - self.centre_px[1]
         out = np.hypot(x, y) - radius_px
-        bare, edge = self.known & (out > RIM_PX), self.known & (np.abs(out) <= RIM_PX)
+        bare, edge = self.known & (out > OUTLINE_PX), self.known & (np.abs(out) <= OUTLINE_PX)
         if self.strong or not bare.any() or not edge.any():
             return False
         return bool(np.mean(self.dark[edge] ** 2) <= np.mean(self.dark[bare] ** 2))

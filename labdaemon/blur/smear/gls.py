@@ -172,9 +172,10 @@ class _Grain:
             Of the pictures (h, w).
         """
         fx, fy = half_plane(size)
-        left = left_power(self.noise, self.unseen, fx, fy)
+        power = grain_power(self.noise, fx**2 + fy**2)
+        left = left_power(power, self.unseen, fx, fy)
         smear = shapes.smear(fx, fy, self.blur_px2, self.moment_px2)
-        standing = left + bared * (grain_power(self.noise, fx**2 + fy**2) - left)
+        standing = left + bared * (power - left)
         result: FloatArray = share[0] ** 2 * left * smear**2 + share[1] ** 2 * standing
         return result
 

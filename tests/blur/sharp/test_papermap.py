@@ -125,7 +125,7 @@ def test_what_is_left_of_the_grain_has_the_stated_power():
     size, noise, unseen = (256, 256), NoiseModel(1.0, 0.1, 0.01, 2.0), 2e-5
     fx, fy = half_plane(size)
     power = grain_power(noise, fx**2 + fy**2)
-    stated = left_power(noise, unseen, fx, fy)
+    stated = left_power(power, unseen, fx, fy)
     found = np.zeros_like(stated)
     rng = np.random.default_rng(3)
     for _ in range(100):
@@ -138,4 +138,4 @@ def test_what_is_left_of_the_grain_has_the_stated_power():
     for low, high in ((0.0, 0.02), (0.02, 0.05), (0.05, 0.1), (0.1, 0.3)):
         band = (f >= low) & (f < high)
         assert np.mean(found[band]) == pytest.approx(np.mean(stated[band]), rel=0.1)
-    assert left_power(noise, np.inf, fx, fy) == pytest.approx(power)
+    assert left_power(power, np.inf, fx, fy) == pytest.approx(power)
