@@ -211,10 +211,10 @@ def without_gauges(toml: str) -> str:
 
 
 @contextmanager
-def small_rig(seed: int) -> Iterator[Any]:
+def small_rig(seed: int, *, enable_wired: bool = True) -> Iterator[Any]:
     """A simulated rig in a process of its own, with frames that cost nothing."""
     [entry] = entry_points(group="labdaemon.simulators", name="rig")
-    with entry.load()(seed=seed, small=True) as rig:
+    with entry.load()(seed=seed, small=True, enable_wired=enable_wired) as rig:
         yield rig
 
 

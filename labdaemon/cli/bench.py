@@ -11,7 +11,9 @@ import click
 
 from labdaemon.errors import UsageError
 
-ELSEWHERE = {name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock")}
+ELSEWHERE = {name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock")} | {
+    "world": "labdaemon.bench.world.command:command"
+}
 """Subcommands that live with what they try out; imported only when asked for."""
 
 

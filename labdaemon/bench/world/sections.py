@@ -1,0 +1,19 @@
+"""The sections of `labdaemon bench world`: a name, and the module whose ``rows(options)`` yields its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+
+from labdaemon.bench.world.row import Options, Row
+
+SECTIONS = {
+    "endings": "labdaemon.bench.world.endings",
+}
+"""In the order of the table. Modules are imported when their section runs."""
+
+
+def section(name: str) -> Callable[[Options], Iterator[Row]]:
+    """The function that runs a section."""
+    found: Callable[[Options], Iterator[Row]] = import_module(SECTIONS[name]).rows
+    return found
