@@ -61,6 +61,24 @@ class DataError(LabdaemonError):
         super().__init__(f"{file}: {message}" if file is not None else message)
 
 
+class StorageError(DataError):
+    """A file or folder cannot be written (or a disk cannot be read)."""
+
+
+class StorageUnavailable(StorageError):
+    """The disk takes nothing now, and may again without a person's edit: full, locked, read-only, not answering.
+
+    Nothing was lost: what had been committed stays, what had not is repeated.
+    """
+
+    retryable = True
+    exit_status = 1
+
+
+class StorageFull(StorageUnavailable):
+    """No space is left, or a quota is used up."""
+
+
 class DeviceError(LabdaemonError):
     """A device did not do what it was told. Root of transport and protocol faults.
 

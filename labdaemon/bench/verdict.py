@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from labdaemon.journal.frames import PART
+from labdaemon.durable import PART
 
 
 @dataclass(frozen=True, slots=True)

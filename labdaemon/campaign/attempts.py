@@ -19,9 +19,8 @@ from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.recover import reconnect_suspects, recover
 from labdaemon.capture.rig import Rest
-from labdaemon.errors import DeviceError, InterlockError, LabdaemonError
+from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, StorageFull
 from labdaemon.journal import transitions
-from labdaemon.journal.storage import StorageFull
 
 MAX_BACKOFF_S = 60.0
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from labdaemon.capture.places import campaign_folder
-from labdaemon.journal.frames import write_durably
+from labdaemon.durable import write_durably
 
 
 def prepare_folder(data: Path, campaign: str, files: Mapping[str, str]) -> Path:

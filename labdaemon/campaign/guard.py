@@ -16,8 +16,7 @@ from labdaemon.capture.capture import Lab
 from labdaemon.capture.devices import Gauge
 from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.capture.table import displacement_mm
-from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError
-from labdaemon.journal.storage import StorageFull
+from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError, StorageFull
 
 WATCH_CYCLES = 2.0
 MISSES = 3

@@ -15,10 +15,9 @@ from typing import Any, Protocol
 from labdaemon.capture.places import campaign_folder
 from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
-from labdaemon.errors import LabdaemonError
+from labdaemon.errors import LabdaemonError, StorageFull
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CaptureRecord
-from labdaemon.journal.storage import StorageFull
 
 Rows = list[dict[str, Any]]
 

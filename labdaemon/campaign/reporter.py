@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 from labdaemon.campaign.steps import Step
 from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
+from labdaemon.errors import StorageFull
 from labdaemon.journal import transitions
 from labdaemon.journal.records import CampaignState
-from labdaemon.journal.storage import StorageFull
 
 T = TypeVar("T")
 

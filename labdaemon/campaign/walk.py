@@ -14,9 +14,9 @@ from labdaemon.capture.pairing import Arrivals
 from labdaemon.capture.places import set_aside_path, sharp_folder, with_opening
 from labdaemon.capture.settle import Excitation
 from labdaemon.clock import rfc3339
+from labdaemon.durable import write_durably
 from labdaemon.errors import DeviceError, UsageError
 from labdaemon.journal import records, transitions
-from labdaemon.journal.frames import write_durably
 from labdaemon.journal.records import CaptureRecord, CaptureState
 
 WAIT_SLICE_S = 1.0

@@ -22,9 +22,9 @@ from labdaemon.capture.rig import CALL_S, Rig
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
 from labdaemon.clock import Clock, rfc3339
+from labdaemon.durable import write_durably
 from labdaemon.errors import DeviceError, DeviceRefused, InterlockError
 from labdaemon.journal import transitions
-from labdaemon.journal.frames import write_durably
 from labdaemon.journal.records import CaptureRecord, FrameRecord
 
 EXPOSURE_WITHIN = 0.09

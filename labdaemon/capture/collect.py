@@ -14,11 +14,11 @@ from labdaemon.capture.pairing import is_frame
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.rig import CALL_S, Rig, Wired
 from labdaemon.clock import Clock
-from labdaemon.errors import DataError, DeviceError, TransportError
+from labdaemon.durable import storage_error
+from labdaemon.errors import DataError, DeviceError, StorageUnavailable, TransportError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.frames import part_of, seal
 from labdaemon.journal.records import FrameRecord, FrameState
-from labdaemon.journal.storage import StorageFull, as_data_error
 
 SLICE_S = 1.0
 """Longest single wait on a camera, so that a stop or a heartbeat on its line is not held up."""
@@ -89,7 +89,7 @@ async def store(
     DeviceError
         The camera failed more often than can be put down to the wire. The card still has the file.
     DataError
-        The disk refused it. `StorageFull` if it is full.
+        The disk refused it. `StorageUnavailable` if it may take it later.
     """
     name = camera.driver.name
     size_bytes, sha256 = await _fetch(camera, file, path, clock)
@@ -126,14 +126,14 @@ async def _fetch(camera: Wired[Camera], file: CardFile, path: Path, clock: Clock
         try:
             driver.download(file, part_of(path))
         except OSError as exc:
-            raise as_data_error(exc, path) from exc
+            raise storage_error(exc, path) from exc
         return seal(path, size_bytes)
 
     part_of(path).unlink(missing_ok=True)
     for attempt in range(1, FETCH_TRIES + 1):
         try:
             return await camera.call(fetch, deadline_s)
-        except StorageFull:
+        except StorageUnavailable:
             part_of(path).unlink(missing_ok=True)
             raise
         except (DeviceError, DataError) as exc:

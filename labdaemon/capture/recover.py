@@ -15,9 +15,10 @@ from labdaemon.capture.devices import CardFile
 from labdaemon.capture.pairing import is_frame
 from labdaemon.capture.places import capture_folder, frame_path, set_aside_path
 from labdaemon.capture.rig import CALL_S, Wired
+from labdaemon.durable import move_durably
 from labdaemon.errors import DeviceError
 from labdaemon.journal import records, transitions
-from labdaemon.journal.frames import move_durably, remove_parts
+from labdaemon.journal.frames import remove_parts
 from labdaemon.journal.records import CaptureRecord
 
 LIST_S = 60.0

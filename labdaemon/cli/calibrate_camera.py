@@ -11,7 +11,8 @@ import cv2
 from rich.console import Console
 
 from labdaemon.cli.parts import Parts
-from labdaemon.errors import DataError, UsageError
+from labdaemon.durable import write_durably
+from labdaemon.errors import StorageError, UsageError
 from labdaemon.geometry.lens import INTERIOR_NAMES
 from labdaemon.processing.boards import Charuco
 from labdaemon.processing.calibration import Calibration, board_files, calibrate, read_board
@@ -120,13 +121,8 @@ def _write(folder: Path, name: str, table: str, result: Calibration) -> tuple[Pa
     toml, picture = folder / f"{name}.toml", folder / f"{name}-residuals.png"
     drawn = residual_picture(result.lens.image_size, result.image_px, result.residuals_px, result.sigma0_px, name)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         for path, content in ((toml, table.encode()), (picture, cv2.imencode(".png", drawn)[1].tobytes())):
-            part = path.with_suffix(path.suffix + ".part")
-            part.write_bytes(content)
-            part.replace(path)
-    except OSError as exc:
-        raise DataError(
-            f"cannot be written ({exc.strerror or exc}); give another folder with --out", file=folder
-        ) from exc
+            write_durably(path, content)
+    except StorageError as exc:
+        raise StorageError(f"{exc}; give another folder with --out") from exc
     return toml, picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from datetime import datetime
@@ -12,6 +13,7 @@ from typing import Any
 
 from labdaemon.cli.demo_lab import DemoFailed
 from labdaemon.cli.progress import amplitude_mm
+from labdaemon.durable import write_durably
 from labdaemon.processing.tables import Row, read_csv
 from labdaemon.report.folder_page import envelopes
 from labdaemon.report.overlay import overlay_path, write_overlay
@@ -54,13 +56,14 @@ def truth_of(envelopes: Sequence[Mapping[str, Any]], records: Sequence[Mapping[s
 
 def write_truth(path: Path, truth: TruthRows) -> None:
     """`truth.csv`, to score the folder with."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(TRUTH_COLUMNS)
-        for capture, rows in truth.items():
-            for row in rows:
-                values = (row[name if name.endswith("_mm") else f"{name}_mm"] for name in TRUTH_COLUMNS[2:])
-                writer.writerow([capture, row["target"], *(f"{value:.6f}" for value in values)])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(TRUTH_COLUMNS)
+    for capture, rows in truth.items():
+        for row in rows:
+            values = (row[name if name.endswith("_mm") else f"{name}_mm"] for name in TRUTH_COLUMNS[2:])
+            writer.writerow([capture, row["target"], *(f"{value:.6f}" for value in values)])
+    write_durably(path, text.getvalue())
 
 
 def check_same_numbers(received: Sequence[Mapping[str, Any]], results: Path) -> int:

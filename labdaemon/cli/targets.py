@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from labdaemon.errors import UsageError
+from labdaemon.durable import write_durably
+from labdaemon.errors import StorageError, UsageError
 from labdaemon.report import sheets
 
 
@@ -99,10 +100,9 @@ def _first_page(room: int, first: int, available: int) -> list[int]:
 
 
 def _write(out: Path, data: bytes) -> None:
-    part = out.with_name(out.name + ".part")
+    if not out.parent.is_dir():
+        raise UsageError(f"{out} cannot be written: there is no such folder")
     try:
-        part.write_bytes(data)
-        part.replace(out)
-    except OSError as exc:
-        part.unlink(missing_ok=True)
-        raise UsageError(f"{out} cannot be written: {exc.strerror or exc}") from exc
+        write_durably(out, data)
+    except StorageError as exc:
+        raise UsageError(str(exc)) from exc

@@ -6,22 +6,17 @@ Whoever finds a file under its final name can trust it to be whole; whatever end
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
+from labdaemon.durable import PART, make_folder, storage_error, sync_file, sync_folder
 from labdaemon.errors import DataError
-from labdaemon.journal.storage import as_data_error
 
-PART = ".part"
 BLOCK_BYTES = 1 << 20
 
 
 def part_of(path: Path) -> Path:
     """Where a file is written before it is whole; its folder is made."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise as_data_error(exc, path.parent) from exc
+    make_folder(path.parent)
     return path.with_name(path.name + PART)
 
 
@@ -54,36 +49,12 @@ def seal(path: Path, size_bytes: int | None = None) -> tuple[int, str]:
             if size_bytes is not None and written != size_bytes:
                 part.unlink()
                 raise DataError(f"has {written} bytes, the camera said {size_bytes}; fetch it again", file=path)
-            os.fsync(file.fileno())
+            sync_file(file.fileno(), path)
         part.rename(path)
         sync_folder(path.parent)
     except OSError as exc:
-        raise as_data_error(exc, path) from exc
+        raise storage_error(exc, path) from exc
     return written, digest.hexdigest()
-
-
-def write_durably(path: Path, content: bytes | str) -> None:
-    """Replace a small file whole or not at all, synced."""
-    data = content.encode() if isinstance(content, str) else content
-    part = part_of(path)
-    try:
-        with part.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        part.rename(path)
-        sync_folder(path.parent)
-    except OSError as exc:
-        raise as_data_error(exc, path) from exc
-
-
-def sync_folder(folder: Path) -> None:
-    """Make renames in a folder durable."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def remove_parts(root: Path) -> list[Path]:
@@ -95,14 +66,3 @@ def remove_parts(root: Path) -> list[Path]:
     for part in parts:
         part.unlink()
     return parts
-
-
-def move_durably(path: Path, to: Path) -> None:
-    """Rename a file into another folder of the same file system, synced."""
-    try:
-        to.parent.mkdir(parents=True, exist_ok=True)
-        path.rename(to)
-        sync_folder(to.parent)
-        sync_folder(path.parent)
-    except OSError as exc:
-        raise as_data_error(exc, path) from exc

@@ -16,11 +16,21 @@ from pathlib import Path
 from typing import Any, Literal
 
 from labdaemon.clock import Clock, rfc3339
+from labdaemon.durable import knows_sync, sync_folder
 from labdaemon.journal.event import Event
 from labdaemon.journal.schema import APPLICATION_ID, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 
 FILE_NAME = "journal.db"
+
+BUSY_S = 2.0
+"""How long a write waits for another process' lock before it is refused; the writer's own thread waits."""
+
+READ_BUSY_S = 0.1
+"""The same for a read: some are made on the event loop."""
+
+CLOSE_S = 2.0
+"""How long closing waits for a write that the disk has not taken; the process ends without it then."""
 
 
 class Transaction:
@@ -65,9 +75,9 @@ class Journal:
     Raises
     ------
     JournalError
-        Another daemon holds it, it is of a newer version, damaged, or cannot be written.
-    StorageFull
-        The disk is full.
+        Another daemon holds it, it is of a newer version, or damaged.
+    StorageUnavailable
+        The disk is full, or another process has locked the journal, or it cannot be written now.
     """
 
     def __init__(
@@ -144,10 +154,15 @@ class Journal:
 
     def close(self) -> None:
         """Close it and let another daemon have it."""
-        with self._write_lock, self._read_lock:
-            self._writer.close()
-            self._reader.close()
-            self._lock.release()
+        # A disk that hangs holds a write, and with it the lock, for as long as it likes.
+        if self._write_lock.acquire(timeout=CLOSE_S):
+            try:
+                with self._read_lock:
+                    self._writer.close()
+                    self._reader.close()
+            finally:
+                self._write_lock.release()
+        self._lock.release()
 
     def _tell(self, name: str) -> None:
         for listener in self._listeners:
@@ -170,21 +185,25 @@ class Journal:
     def _connect(self) -> None:
         try:
             fresh = not self.path.exists() or self.path.stat().st_size == 0
-            self._writer = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
+            self._writer = sqlite3.connect(self.path, BUSY_S, isolation_level=None, check_same_thread=False)
             try:
                 if not fresh:
                     self._check()
                 self._writer.execute("PRAGMA journal_mode = WAL")
-                self._writer.execute(f"PRAGMA synchronous = {self._synchronous}")
+                # Where files cannot be synced SQLite would fail each commit, not only be less durable.
+                synchronous = self._synchronous if knows_sync(self.folder) else "OFF"
+                self._writer.execute(f"PRAGMA synchronous = {synchronous}")
                 if fresh or not self._writer.execute("PRAGMA user_version").fetchone()[0]:
                     self._create()
-                self._reader = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
+                self._reader = sqlite3.connect(self.path, READ_BUSY_S, isolation_level=None, check_same_thread=False)
                 self._reader.execute("PRAGMA query_only = ON")
                 self.uuid: str = self._reader.execute("SELECT value FROM meta WHERE key = 'uuid'").fetchone()[0]
                 self._last_seq = self._reader.execute("SELECT coalesce(max(seq), 0) FROM events").fetchone()[0]
             except BaseException:
                 self._writer.close()
                 raise
+            if fresh:
+                sync_folder(self.folder)
         except (sqlite3.Error, OSError) as exc:
             raise as_data_error(exc, self.path) from exc
 

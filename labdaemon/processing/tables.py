@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import math
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -14,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labdaemon.blur.motion import Measurement
-from labdaemon.errors import DataError
+from labdaemon.durable import write_durably
 from labdaemon.flags import Flag
 from labdaemon.geometry.motion import ObjectMotion
 
@@ -92,26 +90,14 @@ def csv_text(columns: Sequence[str], rows: Iterable[Row]) -> str:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
-    """Write a result file whole or not at all: a temporary file beside it, synced, renamed into place.
+    """Write a result file whole or not at all, synced.
 
     Raises
     ------
-    DataError
+    StorageError
         The folder cannot be written.
     """
-    text = csv_text(columns, rows)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as exc:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise DataError(f"cannot be written: {exc.strerror}", file=path) from exc
+    write_durably(path, csv_text(columns, rows))
 
 
 def read_csv(path: Path) -> list[Row]:

@@ -88,10 +88,7 @@ def report_folder(
         for name, rows in measured.items()
     ]
     page = results / "index.html"
-    try:
-        write_page(page, title, subtitle, shown)
-    except OSError as exc:
-        raise DataError(f"cannot be written: {exc.strerror}", file=page) from exc
+    write_page(page, title, subtitle, shown)
     return page, [one.accuracy for one in shown if one.accuracy is not None]
 
 

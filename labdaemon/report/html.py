@@ -13,6 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from labdaemon.durable import write_durably
 from labdaemon.report.accuracy import FLOOR_MM, Accuracy, semi_amplitude_sd_mm, semi_axes, summary
 from labdaemon.report.figures import MAGNIFY, envelope_svg, errors_svg
 
@@ -90,10 +91,14 @@ class CaptureResult:
 
 
 def write_page(path: Path, title: str, subtitle: str, captures: Sequence[CaptureResult]) -> None:
-    """Write the page whole or not at all."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_text(page(title, subtitle, captures), encoding="utf-8")
-    temporary.replace(path)
+    """Write the page whole or not at all.
+
+    Raises
+    ------
+    StorageError
+        The folder cannot be written.
+    """
+    write_durably(path, page(title, subtitle, captures))
 
 
 def page(title: str, subtitle: str, captures: Sequence[CaptureResult]) -> str:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.errors import DataError
+from labdaemon.durable import write_durably
 from labdaemon.imaging.frame import Grey
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.run import FolderResult
@@ -91,14 +91,8 @@ def write_overlay(
     """
     picture = draw_overlay(read_frame(frame).grey(), rows, title=title, lengths_mm=lengths_mm)
     ok, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 4])
-    temporary = out.with_name(f".{out.name}.tmp")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if ok:
-            temporary.write_bytes(data.tobytes())
-            temporary.replace(out)
-    except OSError as exc:
-        raise DataError(f"cannot be written: {exc.strerror}", file=out) from exc
+    if ok:
+        write_durably(out, data.tobytes())
 
 
 def overlay_path(out: Path, capture: str, camera: str) -> Path:

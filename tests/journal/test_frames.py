@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.errors import DataError
-from labdaemon.journal.frames import move_durably, part_of, remove_parts, seal, write_durably
-from labdaemon.journal.storage import StorageFull
+from labdaemon.errors import DataError, StorageFull
+from labdaemon.journal.frames import part_of, remove_parts, seal
 
 
 def test_a_sealed_frame_is_whole_hashed_and_under_its_final_name(tmp_path: Path):
@@ -47,14 +46,6 @@ def test_strays_are_found_wherever_they_are(tmp_path: Path):
     assert (tmp_path / "c.dng").exists()
 
 
-def test_a_small_file_is_replaced_whole(tmp_path: Path):
-    path = tmp_path / "deep" / "capture.toml"
-    write_durably(path, "one")
-    write_durably(path, "two")
-    assert path.read_text() == "two"
-    assert [file.name for file in path.parent.iterdir()] == ["capture.toml"]
-
-
 def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def refuse(fd: int) -> None:
         raise OSError(28, "No space left on device")
@@ -64,11 +55,3 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(StorageFull, match="disk is full"):
         seal(tmp_path / "left.dng")
     assert not (tmp_path / "left.dng").exists()
-
-
-def test_a_moved_frame_is_gone_from_its_old_place(tmp_path: Path):
-    old, new = tmp_path / "left.dng", tmp_path / "set_aside" / "x" / "left.dng"
-    old.write_bytes(b"frame")
-    move_durably(old, new)
-    assert new.read_bytes() == b"frame"
-    assert not old.exists()

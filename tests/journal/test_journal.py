@@ -1,16 +1,22 @@
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
+import resource
 import sqlite3
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from labdaemon.clock import SimulatedClock, SystemClock
+from labdaemon.errors import StorageFull
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.schema import VERSION
-from labdaemon.journal.storage import DataLock, JournalError, StorageFull, as_data_error
+from labdaemon.journal.storage import DataLock, JournalError, JournalLocked, as_data_error
 
 
 @pytest.fixture
@@ -138,12 +144,74 @@ def test_a_full_disk_says_so_and_what_was_committed_stays(journal: Journal):
     assert [event.seq for event in journal.events_after(0, 10)] == [1, 2, 3]
 
 
-def test_a_read_only_disk_says_so():
-    error = as_data_error(sqlite3.OperationalError("attempt to write a readonly database"), Path("/data"))
+def test_a_read_only_disk_is_waited_for(tmp_path: Path, journal: Journal):
+    other = sqlite3.connect("file:" + str(tmp_path / "journal.db") + "?mode=ro", uri=True)
+    with pytest.raises(sqlite3.OperationalError) as raised:
+        other.execute("INSERT INTO meta VALUES ('a', 'b')")
+    error = as_data_error(raised.value, Path("/data"))
+    other.close()
     assert "read-only disk" in str(error)
-    assert not error.retryable
-    assert "read-only disk" in str(as_data_error(OSError(30, "Read-only file system"), Path("/data")))
-    assert isinstance(as_data_error(OSError(28, "No space left on device"), Path("/data")), StorageFull)
+    assert error.retryable
+
+
+def test_a_lock_of_another_process_is_waited_for(tmp_path: Path, journal: Journal, monkeypatch: pytest.MonkeyPatch):
+    journal._writer.execute("PRAGMA busy_timeout = 50")
+    other = sqlite3.connect(tmp_path / "journal.db", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(JournalLocked, match="another process has locked") as raised:
+        emit(journal)
+    assert raised.value.retryable
+    assert journal.events_after(0, 10) == []
+    other.execute("ROLLBACK")
+    other.close()
+    emit(journal)
+    assert [event.seq for event in journal.events_after(0, 10)] == [1]
+
+
+def test_a_quota_that_is_used_up_is_a_full_disk(journal: Journal):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    emit(journal)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, hard))
+    try:
+        with pytest.raises(StorageFull), journal.transaction("test") as write:
+            write.emit("fault", None, {"text": "x" * 100_000})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    emit(journal)
+    assert [event.seq for event in journal.events_after(0, 10)] == [1, 2]
+
+
+def test_a_folder_without_sync_or_locks_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOTSUP, "Operation not supported")
+
+    for module, name in ((os, "fsync"), (fcntl, "flock"), (fcntl, "lockf")):
+        monkeypatch.setattr(module, name, refuse)
+    journal = Journal(tmp_path, SimulatedClock())
+    emit(journal)
+    assert journal.last_seq == 1
+    journal.close()
+
+
+def test_closing_does_not_wait_for_a_write_that_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("labdaemon.journal.journal.CLOSE_S", 0.05)
+    journal = Journal(tmp_path, SimulatedClock())
+    hangs, end = threading.Event(), threading.Event()
+
+    def write() -> None:
+        with journal.transaction("test"):
+            hangs.set()
+            end.wait()
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    hangs.wait()
+    journal.close()
+    end.set()
+    thread.join()
+    DataLock(tmp_path).release()
+    journal._writer.close()
+    journal._reader.close()
 
 
 def test_events_are_stamped_by_the_clock_and_may_jump_while_seq_does_not(tmp_path: Path):
