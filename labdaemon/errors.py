@@ -111,6 +111,12 @@ class DeviceRefused(DeviceError):
     """The device understood and said no: its own error queue, a property that is read-only, a full card."""
 
 
+class DriverFault(DeviceError):
+    """A driver raised what no driver should: a slip in it, or in a library under it. Connecting anew may help."""
+
+    retryable = True
+
+
 class InterlockError(LabdaemonError):
     """A limit was crossed, so the shaker was stopped. Never retried by itself."""
 

@@ -117,8 +117,11 @@ class DeviceLine:
             result, error = None, None
             try:
                 result = function()
-            except BaseException as exc:
-                error = exc
+            except Exception as exc:
+                # A future takes no StopIteration: the call would then never end.
+                error = RuntimeError("StopIteration") if isinstance(exc, StopIteration) else exc
+            except BaseException as exc:  # sys.exit() in a driver ends its call, not the daemon
+                error = RuntimeError(f"{type(exc).__name__}: {exc}")
             try:
                 loop.call_soon_threadsafe(settle, result, error)
             except RuntimeError:

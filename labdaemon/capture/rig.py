@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Mapping
+import logging
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
 from labdaemon.capture.devices import Camera, Gauge, Shaker, Trigger
 from labdaemon.capture.lines import Line
-from labdaemon.errors import DeviceError, InterlockError
+from labdaemon.errors import DeviceError, DriverFault, InterlockError, LabdaemonError
+
+log = logging.getLogger(__name__)
 
 D = TypeVar("D")
 T = TypeVar("T")
@@ -30,12 +34,26 @@ class Wired(Generic[D]):
     line: Line
 
     async def call(self, function: Callable[[D], T], timeout_s: float = CALL_S) -> T:
-        """Call it in turn; `TransportError` past the deadline."""
-        return await self.line.call(lambda: function(self.driver), timeout_s)
+        """Call it in turn; `TransportError` past the deadline, `DriverFault` for an error that is none of ours."""
+        with self._as_device_error():
+            return await self.line.call(lambda: function(self.driver), timeout_s)
 
     async def urgent(self, function: Callable[[D], T], timeout_s: float = HARD_STOP_S) -> T:
         """Call it at once, whatever it is busy with."""
-        return await self.line.urgent(lambda: function(self.driver), timeout_s)
+        with self._as_device_error():
+            return await self.line.urgent(lambda: function(self.driver), timeout_s)
+
+    @contextmanager
+    def _as_device_error(self) -> Iterator[None]:
+        """A driver's slip is that device's fault like any other, and must not end what stops the table."""
+        try:
+            yield
+        except LabdaemonError:
+            raise
+        except Exception as exc:
+            name = str(getattr(self.driver, "name", type(self.driver).__name__))
+            log.exception("the driver of %s failed", name)
+            raise DriverFault(f"its driver failed ({type(exc).__name__}: {exc}); report this", device=name) from exc
 
 
 @dataclass(frozen=True, slots=True)

@@ -222,8 +222,10 @@ def _check_driver(
             raise ConfigError(str(exc), source=source, key=f"{key}.driver") from None
         try:
             driver = entry.load()
-        except (ImportError, AttributeError) as exc:
-            raise ConfigError(f"driver {entry.value} does not load: {exc}", source=source, key=f"{key}.driver") from exc
+        except Exception as exc:  # it is another package's, whose import may do and raise anything
+            raise ConfigError(
+                f"driver {entry.value} does not load: {type(exc).__name__}: {exc}", source=source, key=f"{key}.driver"
+            ) from exc
         known += sorted(getattr(driver, "SETTINGS", section.driver_keys))
     for written in sorted(section.driver_keys - set(known)):
         near = nearest(written, known)
@@ -236,6 +238,10 @@ def _check_driver(
             inner = (exc.key or "").removeprefix(key).removeprefix(name).strip(".")
             message = str(exc).removeprefix(f"{exc.key}: ")
             raise ConfigError(message, source=source, key=f"{key}.{inner}" if inner else key) from None
+        except Exception as exc:  # a slip of the driver is no traceback for whoever wrote the rig file
+            raise ConfigError(
+                f"its driver does not take this section ({type(exc).__name__}: {exc})", source=source, key=key
+            ) from exc
 
 
 def _check_files(rig: RigConfig) -> None:

@@ -359,3 +359,12 @@ class TestPowerCycle:
         camera = make_camera(power_cycle=command, wakes_after_s=0.1, timeout_s=0.3, connect=False)
         with pytest.raises((DeviceRefused, TransportError), match=words):
             camera.connect()
+
+    def test_what_a_hook_prints_is_bytes(self, rig, make_camera, tmp_path):
+        """As uhubctl prints descriptors: one byte that is no UTF-8."""
+        rig.bus.unplug("left")
+        for status, error in (("0", TransportError), ("1", DeviceRefused)):
+            command = ["sh", "-c", f"printf 'relais \\351teint'; exit {status}"]
+            camera = make_camera(power_cycle=command, wakes_after_s=0.1, timeout_s=0.3, connect=False)
+            with pytest.raises(error):
+                camera.connect()

@@ -9,7 +9,7 @@ import queue
 import struct
 import threading
 
-from labdaemon.errors import DeviceError
+from labdaemon.errors import DeviceError, TransportError
 from labdrivers.ptp.codes import EventCode, Kind
 from labdrivers.ptp.container import BadContainer, read_header, unpack_parameters
 from labdrivers.ptp.transport import UsbPipe
@@ -28,7 +28,7 @@ class EventListener:
     """
 
     def __init__(self, pipe: UsbPipe) -> None:
-        self._pipe = pipe
+        self._pipe, self._device = pipe, pipe.device
         self._news: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=f"{pipe.device} events", daemon=True)
@@ -58,6 +58,9 @@ class EventListener:
                 packet = self._pipe.read_interrupt(LISTEN_S)
             except DeviceError as exc:
                 self.fault = exc
+                return
+            except Exception as exc:  # pyusb and its backends raise what they like; a dead thread would report no file
+                self.fault = TransportError(f"cannot be listened to ({type(exc).__name__}: {exc})", device=self._device)
                 return
             if packet is None:
                 continue

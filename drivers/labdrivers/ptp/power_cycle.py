@@ -1,4 +1,4 @@
-"""Switching a dead camera's supply off and on through a relay: the last remedy when nobody is in the room.
+"""Switching a dead camera's supply off and on through a relay: the last remedy when no person is in the room.
 
 Bodies lock up after thousands of shots and then answer nothing until they lose power. The relay is the laboratory's
 own; what operates it is a command in the rig file, run without a shell, seldom, and with a deadline.
@@ -6,11 +6,11 @@ own; what operates it is a command in the rig file, run without a shell, seldom,
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Sequence
 
 from labdaemon.errors import DeviceRefused
+from labdaemon.hook import HookError, run_hook
 
 COMMAND_S = 30.0
 AT_LEAST_EVERY_S = 300.0
@@ -46,14 +46,12 @@ class PowerCycle:
         """
         self._last = time.monotonic()
         try:
-            done = subprocess.run(
-                self._command, capture_output=True, text=True, timeout=COMMAND_S, stdin=subprocess.DEVNULL, check=False
-            )
-        except (OSError, subprocess.TimeoutExpired) as exc:
+            done = run_hook(self._command, COMMAND_S)
+        except HookError as exc:
             raise DeviceRefused(f"power_cycle command fails ({exc}); check it by hand", device=self._device) from exc
-        if done.returncode != 0:
-            said = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["nothing said"]
+        if done.status != 0:
             raise DeviceRefused(
-                f"power_cycle command ends with status {done.returncode} ({said[0]}); check it by hand",
+                f"power_cycle command ends with status {done.status} ({done.last_line or 'it printed nothing'}); "
+                "check it by hand",
                 device=self._device,
             )

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import pytest
+
+from labdaemon.capture.lines import DeviceLine
+from labdaemon.capture.rig import Wired
+from labdaemon.errors import DeviceRefused, DriverFault
+
+
+class Clumsy:
+    """A driver that raises what it should not."""
+
+    name = "left"
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
+    def status(self) -> None:
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        UnicodeDecodeError("utf-8", b"\xe9", 0, 1, "invalid start byte"),
+        KeyError("battery"),
+        StopIteration(),
+        SystemExit(2),
+        RecursionError(),
+        MemoryError(),
+        OSError(28, "No space left on device"),
+    ],
+)
+async def test_whatever_a_driver_raises_is_its_device_s_fault(error: BaseException):
+    device = Wired(Clumsy(error), DeviceLine("left"))
+    for call in (device.call, device.urgent):
+        with pytest.raises(DriverFault, match="left: its driver failed") as caught:
+            await call(lambda driver: driver.status(), 5.0)
+        assert caught.value.retryable
+        assert caught.value.device == "left"
+    device.line.close()
+
+
+async def test_an_error_of_ours_stays_as_it_is():
+    device = Wired(Clumsy(DeviceRefused("said no", device="left")), DeviceLine("left"))
+    with pytest.raises(DeviceRefused, match="said no"):
+        await device.call(lambda driver: driver.status(), 5.0)
+    device.line.close()
