@@ -7,6 +7,7 @@ and b the minor one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -79,6 +80,26 @@ class Measurement:
     extra_blur_px2: float = 0.0
     chi2: float = 1.0
     axes: Measurement | None = None
+
+    @property
+    def amplitude_px(self) -> float:
+        """Major semi-axis of the orbit, zero to peak; NaN where not measured."""
+        vectors = np.column_stack((self.a_px, self.b_px))
+        return float(np.linalg.norm(vectors, 2)) if np.isfinite(vectors).all() else math.nan
+
+    @property
+    def sd_px(self) -> float:
+        """Standard deviation of `amplitude_px`, to first order; NaN where not measured."""
+        vectors = np.column_stack((self.a_px, self.b_px))
+        if not np.isfinite(vectors).all():
+            return math.nan
+        left, _, right = np.linalg.svd(vectors)
+        slope = np.concatenate((left[:, 0] * right[0, 0], left[:, 0] * right[0, 1]))
+        return float(np.sqrt(max(slope @ self.covariance_px2[2:, 2:] @ slope, 0.0)))
+
+    def __repr__(self) -> str:
+        flags = f", flags {';'.join(sorted(self.flags))}" if self.flags else ""
+        return f"<Measurement {self.target}: {self.amplitude_px:.3f} ± {self.sd_px:.3f} px{flags}>"
 
 
 @dataclass(frozen=True, slots=True)

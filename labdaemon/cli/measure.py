@@ -15,8 +15,7 @@ from labdaemon.blur.motion import Window
 from labdaemon.cli.parts import Parts
 from labdaemon.errors import UsageError
 from labdaemon.processing.frame import measure_frames
-from labdaemon.processing.naming import names_in_picture
-from labdaemon.processing.prepare import PreparedCamera, prepare_camera, prepare_patches
+from labdaemon.processing.prepare import name_dots, prepare_camera, prepare_patches
 from labdaemon.processing.tables import MEASUREMENT_COLUMNS, Row, csv_text, measurement_row, write_csv
 from labdaemon.report.overlay import overlay_path, write_overlay
 
@@ -71,7 +70,10 @@ def measure(
     console = Console(stderr=True)
     with Parts(console) as parts:
         parts("sharp frames", 0, 1)
-        camera = prepare_patches(sharp, patches) if patches else _dots(sharp, method)
+        if patches:
+            camera = prepare_patches(sharp, patches)
+        else:
+            camera = name_dots(prepare_camera("", sharp, keep_dots=method == "paper"))
         parts("sharp frames", 1, 1)
         rows: list[Row] = []
         for done, path in enumerate(blurred, start=1):
@@ -95,13 +97,6 @@ def _window(frequency: float | None, exposure: float | None, phase: float | None
         missing = "--frequency" if frequency is None else "--exposure"
         raise UsageError(f"{missing} is missing: an exposure is known by frequency and exposure time together")
     return Window(frequency, exposure, phase)
-
-
-def _dots(sharp: tuple[Path, ...], method: str) -> PreparedCamera:
-    camera = prepare_camera("", sharp, keep_dots=method == "paper")
-    names = names_in_picture(camera.centres_px)
-    order = sorted(range(len(names)), key=names.__getitem__)
-    return camera.renamed(order, [names[i] for i in order])
 
 
 def _summary(rows: list[Row], console: Console, out: Path | None) -> None:

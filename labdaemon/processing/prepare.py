@@ -20,6 +20,7 @@ from labdaemon.imaging.dots import find_dots
 from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control
+from labdaemon.processing.naming import names_in_picture
 from labdaemon.processing.search import Sought, measure_contrast
 from labdaemon.processing.survey import ControlPoint
 from labdaemon.processing.thumbnails import Thumbnail
@@ -145,6 +146,14 @@ def prepare_camera(
     """
     size = survey.lens.image_size if survey is not None else None
     frames = [read_frame(file, expect_size=size) for file in (files if at_rest else files[:1])]
+    return prepare_frames(name, frames, survey=survey, keep_dots=keep_dots)
+
+
+def prepare_frames(
+    name: str, frames: Sequence[RawFrame], *, survey: CameraSurvey | None = None, keep_dots: bool = False
+) -> PreparedCamera:
+    """Prepare a camera from sharp frames of one set that are already read; otherwise as `prepare_camera`."""
+    file = frames[0].path
     frame = mean_frame(frames)
     grey = frame.grey()
     orientation, sizes = None, ORDINARY_PX
@@ -153,25 +162,25 @@ def prepare_camera(
     else:
         known = [point.name for point in survey.control]
         control = find_control(frame, frames, grey, survey.family, lens=survey.lens, known=known)
-        _enough(control, survey, files[0])
-        orientation = _orient(control, survey, files[0])
+        _enough(control, survey, file)
+        orientation = _orient(control, survey, file)
         sizes = _sizes(orientation.view, survey)
     dots = find_dots(grey, diameter_range_px=sizes, exclude=control.outlines)
     if not dots and sizes != ORDINARY_PX:
         dots = find_dots(grey, exclude=control.outlines)  # of other sizes than the rig file says: for a better message
     if not dots:
         raise DataError(
-            "no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed", file=files[0]
+            "no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed", file=file
         )
     fitted = [(dot, _fit(dot, frames)) for dot in dots]
     usable = _all_in_doubt([(dot, target) for dot, target in fitted if target.usable])
     if not usable:
-        raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=files[0])
+        raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
     plain = [Sought(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
     contrast = measure_contrast(frame.look(), plain)
     return PreparedCamera(
         name,
-        Path(files[0]),
+        file,
         frame.size,
         tuple(target for _, target in usable),
         tuple(replace(one, contrast=float(c)) for one, c in zip(plain, contrast, strict=True)),
@@ -179,6 +188,13 @@ def prepare_camera(
         orientation,
         dots=tuple((dot, _around(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
     )
+
+
+def name_dots(camera: PreparedCamera) -> PreparedCamera:
+    """The same camera with its dots named by their place in the image, in reading order."""
+    names = names_in_picture(camera.centres_px)
+    order = sorted(range(len(names)), key=names.__getitem__)
+    return camera.renamed(order, [names[index] for index in order])
 
 
 def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, int]]) -> PreparedCamera:
@@ -190,16 +206,24 @@ def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, 
         Sharp frames, averaged.
     boxes
         (x, y, width, height) of each, px.
+
+    Raises
+    ------
+    DataError
+        A frame cannot be read, or a rectangle does not lie inside it.
     """
-    frames = [read_frame(file) for file in files]
+    return prepare_patch_frames([read_frame(file) for file in files], boxes)
+
+
+def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, int, int, int]]) -> PreparedCamera:
+    """Prepare patches of sharp frames that are already read; otherwise as `prepare_patches`."""
+    file = frames[0].path
     frame = mean_frame(frames)
     width, height = frame.size
     targets = []
     for number, (x, y, w, h) in enumerate(boxes, start=1):
         if x < 0 or y < 0 or x + w > width or y + h > height:
-            raise DataError(
-                f"patch {x},{y},{w},{h} does not lie inside the frame of {width}x{height} px", file=files[0]
-            )
+            raise DataError(f"patch {x},{y},{w},{h} does not lie inside the frame of {width}x{height} px", file=file)
         # What lies beside the box is smeared into it.
         reach = max(16, min(64, max(w, h) // 2))
         x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
@@ -207,9 +231,7 @@ def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, 
         targets.append(sharp_texture(cuts, (x, y, w, h), name=f"P{number:02d}"))
     grey = frame.grey()
     thumbnails = tuple(Thumbnail.cut(grey, box) for box in boxes)
-    return PreparedCamera(
-        "", Path(files[0]), frame.size, tuple(targets), (), ControlTargets(TAG_FAMILY), thumbnails=thumbnails
-    )
+    return PreparedCamera("", file, frame.size, tuple(targets), (), ControlTargets(TAG_FAMILY), thumbnails=thumbnails)
 
 
 def _all_in_doubt(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:
