@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
+from labdaemon.orbit_size import semi_major_axis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,7 +60,9 @@ class TargetEnvelope:
     def amplitude_mm(self) -> float:
         """Major semi-axis of the orbit, zero to peak; NaN where not measured."""
         vectors = np.column_stack((self.a_mm, self.b_mm))
-        return float(np.linalg.norm(vectors, 2)) if np.isfinite(vectors).all() else math.nan
+        if not np.isfinite(vectors).all():
+            return math.nan
+        return semi_major_axis(self.a_mm.tolist(), self.b_mm.tolist())
 
     @property
     def sd_mm(self) -> float:

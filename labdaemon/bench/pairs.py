@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.orbit_size import semi_axes, semi_major_axis
 
 NEAR_MM = 12.0
 """A reported target farther than this from a true one is another."""
@@ -58,12 +59,12 @@ class Pair:
     @property
     def true_mm(self) -> float:
         """True major semi-axis."""
-        return float(np.linalg.norm(axes(self.true_a, self.true_b)[0]))
+        return semi_major_axis(self.true_a.tolist(), self.true_b.tolist())
 
     @property
     def error_mm(self) -> float:
         """Measured minus true major semi-axis."""
-        return float(np.linalg.norm(axes(self.a, self.b)[0])) - self.true_mm
+        return semi_major_axis(self.a.tolist(), self.b.tolist()) - self.true_mm
 
     @property
     def minor_error_mm(self) -> float:
@@ -93,10 +94,8 @@ def sign_is_right(pair: Pair, cycles: float) -> bool:
 
 def axes(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Major and minor semi-axis vectors of the orbit a·sin + b·cos."""
-    turn = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a - b @ b))
-    u = math.cos(turn) * a + math.sin(turn) * b
-    v = math.cos(turn) * b - math.sin(turn) * a
-    return (u, v) if u @ u >= v @ v else (v, u)
+    major, minor = semi_axes(a.tolist(), b.tolist())
+    return np.array(major), np.array(minor)
 
 
 def read_truth(folder: Path) -> list[dict[str, Any]]:

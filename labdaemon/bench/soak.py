@@ -142,7 +142,7 @@ def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int 
             if early is None and clock.monotonic() > 360.0 * hours:
                 early = footprint()
         late = footprint()
-        done = records.count_captures(lab.journal, id)
+        done = sum(records.captures_by_step(lab.journal, id).values())
         await lab.kill()
         cameras = lab.fake.cameras
         verdict = judge(

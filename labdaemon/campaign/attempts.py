@@ -72,6 +72,8 @@ class Attempts:
         """Something may be in flight that nobody looks after: at the start, and after every interruption."""
         self.doing = "starting"
         """In a word or two, for status."""
+        self.began_s: float | None = None
+        """Monotonic time at which the present attempt at a step began; None while no step is walked."""
 
     async def do(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
         """A step to its end, or until somebody wants something else (see `Control.wish`)."""
@@ -138,7 +140,7 @@ class Attempts:
 
     async def _walk(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
         await self._wait_for_window(step, guard)
-        self.doing = step.kind
+        self.doing, self.began_s = step.kind, self._lab.clock.monotonic()
         write = self._lab.recorder.write
         told = {"label": step.label, "kind": step.kind}
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}

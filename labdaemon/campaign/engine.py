@@ -23,6 +23,7 @@ from labdaemon.capture.rig import Rest
 from labdaemon.errors import ConfigError, InterlockError, LabdaemonError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CampaignRecord, CampaignState, CaptureRecord
+from labdaemon.orbit_size import LargestMotion, largest_motion
 from labdaemon.stream.messages import Busy, NotFound, WrongState
 
 log = logging.getLogger(__name__)
@@ -56,8 +57,8 @@ class Engine:
     ----------
     current, plan, step
         What is under way; None while idle.
-    largest_mm
-        Largest semi-amplitude of the latest envelope.
+    largest
+        Largest motion of the latest envelope.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Engine:
         self.current: CampaignRecord | None = None
         self.plan: Plan | None = None
         self.step: Step | None = None
-        self.largest_mm: float | None = None
+        self.largest: LargestMotion | None = None
 
     async def run(self) -> None:
         """Walk campaigns until cancelled. The table must be at rest."""
@@ -248,7 +249,7 @@ class Engine:
 
     async def _take_up(self, record: CampaignRecord, guard: asyncio.Task[None]) -> None:
         """Begin a campaign, or go on with it, until it ends."""
-        self.current, self.largest_mm = record, None
+        self.current, self.largest = record, None
         if record.state == "paused" or self.control.wish == "go":
             self.control.clear("pause" if record.state == "paused" else "go")
         try:
@@ -302,7 +303,7 @@ class Engine:
         await self._rest()
         if self.control.wish == "pause" and self._state(record.id) == "running":  # not resumed meanwhile
             await self._move(record, "paused", self.control.reason)
-        self.attempts.doing = "paused"
+        self.attempts.doing, self.attempts.began_s = "paused", None
         while self.control.wish == "pause":
             await self.control.wait(guard)
 
@@ -321,7 +322,7 @@ class Engine:
         self.control.tripped = None  # by a last envelope, when the table rested already
         if self.control.wish != "go":
             return False
-        taken = records.count_captures(self.lab.recorder.journal, record.id)
+        taken = sum(records.captures_by_step(self.lab.recorder.journal, record.id).values())
         return await self._move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
 
     def _has_ended(self, campaign: str, step: Step) -> bool:
@@ -342,13 +343,8 @@ class Engine:
             await self._fault(exc, "use the emergency stop")
 
     def _on_published(self, campaign: str, name: str, rows: Rows) -> None:
-        """An envelope is out: keep its largest amplitude for status, and judge it."""
-        sizes = [
-            sum(float(row[f"a{axis}_mm"]) ** 2 for axis in "xyz") ** 0.5
-            for row in rows
-            if all(row.get(f"a{axis}_mm") is not None for axis in "xyz")
-        ]
-        self.largest_mm = max(sizes, default=self.largest_mm)
+        """An envelope is out: keep its largest motion for status, and judge it."""
+        self.largest = largest_motion(rows)
         reason = envelope_reason(self.limits, rows)
         if reason is not None:
             self.trip(InterlockError(f"{name}: {reason}"))

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from labdaemon.capture.devices import CameraStatus
 from labdaemon.flags import Flag
+from labdaemon.orbit_size import is_doubtful, size_mm
+
+DOUBTFUL_TO_TRIP = 3
+"""Flagged targets beyond the limit that trip together: a wrong fit is one target's, a motion its neighbours' too."""
+
+_Size = tuple[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +97,44 @@ def disk_reason(limits: Limits, free_bytes: int) -> str | None:
 
 
 def envelope_reason(limits: Limits, rows: Iterable[Mapping[str, Any]]) -> str | None:
-    """The measured envelope is too large, or smears reach the edges of their papers."""
-    targets = at_edge = 0
-    for row in rows:
-        targets += 1
-        at_edge += Flag.PAPER_EDGE in (row.get("flags") or ())
-        major = [row.get(f"a{axis}_mm") for axis in "xyz"]
-        if limits.max_response_mm is None or any(value is None for value in major):
-            continue
-        size_mm = sum(float(value or 0.0) ** 2 for value in major) ** 0.5
-        if size_mm > limits.max_response_mm:
-            return f"target {row.get('target')} moves {size_mm:.3g} mm, more than max_response_mm"
+    """The measured envelope is too large, or smears reach the edges of their papers.
+
+    A target without a flag trips alone. Flagged ones are in doubt: `DOUBTFUL_TO_TRIP` of them trip together, and an
+    `ambiguous` one, which may be another orbit's, only where no target is without a flag.
+    """
+    measured = list(rows)
+    targets = len(measured)
+    at_edge = sum(Flag.PAPER_EDGE in (row.get("flags") or ()) for row in measured)
+    if limits.max_response_mm is not None:
+        sure, doubtful = _too_large(limits.max_response_mm, measured)
+        if sure:
+            name, size = sure[0]
+            return f"target {name} moves {size:.3g} mm, more than max_response_mm = {limits.max_response_mm:g}"
+        if len(doubtful) >= DOUBTFUL_TO_TRIP:
+            name, size = doubtful[0]
+            return (
+                f"{len(doubtful)} flagged targets move more than max_response_mm = {limits.max_response_mm:g}, "
+                f"{name} by {size:.3g} mm"
+            )
     if limits.max_paper_edge is not None and targets and at_edge > limits.max_paper_edge * targets:
         return f"the smear of {at_edge} of {targets} targets reaches the edge of its paper; lower the amplitude"
     return None
+
+
+def _too_large(limit_mm: float, rows: Sequence[Mapping[str, Any]]) -> tuple[list[_Size], list[_Size]]:
+    """Targets beyond the limit, largest first: those without a flag, and flagged ones that count."""
+    sizes = [(row, str(row.get("target")), size) for row in rows if (size := size_mm(row)) is not None]
+    has_sure = any(not is_doubtful(row) for row, _, _ in sizes)
+    sure: list[_Size] = []
+    doubtful: list[_Size] = []
+    for row, name, size in sorted(sizes, key=lambda one: -one[2]):
+        if size <= limit_mm:
+            break
+        if not is_doubtful(row):
+            sure.append((name, size))
+        elif not (has_sure and Flag.AMBIGUOUS in (row.get("flags") or ())):
+            doubtful.append((name, size))
+    return sure, doubtful
 
 
 def stall_reason(limits: Limits, oldest_waiting_s: float) -> str | None:

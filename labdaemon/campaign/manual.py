@@ -13,10 +13,7 @@ from labdaemon.capture.places import sharp_folder
 from labdaemon.errors import LabdaemonError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.journal import Journal
-from labdaemon.journal.records import CaptureRecord
-
-NO_STEP = -1
-"""`CaptureRecord.step` of captures that belong to none."""
+from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 
 class Manual:

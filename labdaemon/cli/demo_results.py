@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from labdaemon.cli.demo_lab import DemoFailed
-from labdaemon.cli.progress import amplitude_mm
 from labdaemon.durable import write_durably
+from labdaemon.orbit_size import size_mm
 from labdaemon.processing.tables import Row, read_csv
 from labdaemon.report.folder_page import envelopes
 from labdaemon.report.overlay import overlay_path, write_overlay
@@ -97,7 +97,7 @@ def draw_overlays(folder: Path, results: Path) -> None:
     for row in read_csv(results / "measurements.csv"):
         rows.setdefault((str(row["capture"]), str(row["camera"])), []).append(row)
     lengths = {
-        capture: {str(row["target"]): size for row in of_capture if (size := amplitude_mm(dict(row))) is not None}
+        capture: {str(row["target"]): size for row in of_capture if (size := size_mm(row)) is not None}
         for capture, of_capture in envelopes(results).items()
     }
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:

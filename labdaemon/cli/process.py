@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from labdaemon.cli.parts import Parts
-from labdaemon.cli.progress import amplitude_mm
+from labdaemon.orbit_size import size_mm
 from labdaemon.processing.envelope import CaptureResult
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.run import FolderResult, process_folder
@@ -54,7 +54,7 @@ def _summary(result: FolderResult, console: Console) -> None:
 
 def _line(capture: CaptureResult) -> list[str]:
     rows = capture.envelope_rows
-    lengths = [length for row in rows if (length := amplitude_mm(dict(row))) is not None]
+    lengths = [length for row in rows if (length := size_mm(row)) is not None]
     sds = [row["sd_ax_mm"] for row in rows if isinstance(row["sd_ax_mm"], float)]
     flags = Counter(flag for row in rows if isinstance(row["flags"], list) for flag in row["flags"])
     span = f"{min(lengths):.3f} – {max(lengths):.3f}" if lengths else "none"

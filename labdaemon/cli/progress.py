@@ -5,7 +5,8 @@ Where the output is no terminal (a log, a pipe) only the lines are printed, and 
 
 from __future__ import annotations
 
-import math
+import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
@@ -14,24 +15,11 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from labdaemon.orbit_size import largest_motion
+
 BAR_CELLS = 10
-
-
-def amplitude_mm(target: dict[str, Any]) -> float | None:
-    """Largest distance of a target from its mean, from a row of an envelope; None if it was not measured.
-
-    The major semi-axis of the orbit a·sin + b·cos: the root of the larger eigenvalue of aaᵀ + bbᵀ.
-    """
-    if any(target.get(f"a{axis}_mm") is None for axis in "xyz"):
-        return None
-    a = [float(target[f"a{axis}_mm"]) for axis in "xyz"]
-    b = [float(target.get(f"b{axis}_mm") or 0.0) for axis in "xyz"]
-    aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
-    return math.sqrt((aa + bb) / 2 + math.hypot((aa - bb) / 2, ab))
-
-
-def _dot(one: list[float], other: list[float]) -> float:
-    return sum(x * y for x, y in zip(one, other, strict=True))
+SILENT_S = 3.0
+"""A heartbeat comes each second. From this age on what is shown is said to be old; a person knows within 5 s."""
 
 
 def duration(seconds: float | None) -> str:
@@ -64,17 +52,34 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         total = f" of {status['steps']}" if status.get("steps") else ""
         what = ", ".join(part for part in (status.get("label"), excitation(status), status.get("doing")) if part)
         lines.append(f"step       {status['step'] + 1}{total}: {what}")
+    manual = status.get("captures_manual")
     if status.get("captures_total"):
         lines.append(f"captures   {status.get('captures', 0)} of {status['captures_total']}")
+    if manual:
+        lines.append(f"manual     {manual} captures outside the plan")
     if status.get("left_s") is not None:
         lines.append(f"time left  {duration(status['left_s'])}")
-    if status.get("largest_mm") is not None:
-        lines.append(f"largest    {status['largest_mm']:.3f} mm")
+    if largest := _largest(status):
+        lines.append(f"largest    {largest}")
     if status.get("faults"):
         lines.append(f"faults     {status['faults']}")
     if status.get("queue"):
         lines.append(f"waiting    {status['queue']} campaigns")
+    if status.get("rig"):
+        lines.append(f"rig        {status['rig']}")
+        lines.append(f"data       {status.get('data')}")
+        lines.append(f"daemon     process {status.get('pid')} on {status.get('host')}")
     return lines
+
+
+def _largest(status: dict[str, Any]) -> str:
+    """`0.411 mm at T07; 1 doubtful`: doubtful targets never lead, and are never left out; empty if nothing is known."""
+    target = f" at {status['largest_target']}" if status.get("largest_target") else ""
+    parts = [f"{status['largest_mm']:.3f} mm{target}"] if status.get("largest_mm") is not None else []
+    if status.get("doubtful"):
+        of = "" if parts or status.get("doubtful_mm") is None else f", up to {status['doubtful_mm']:.3f} mm"
+        parts.append(f"{status['doubtful']} doubtful{of}")
+    return "; ".join(parts)
 
 
 def event_line(event: dict[str, Any]) -> str | None:
@@ -106,32 +111,39 @@ def event_line(event: dict[str, Any]) -> str | None:
 
 def _envelope(data: dict[str, Any]) -> str:
     targets = data.get("targets", [])
-    sizes = [(size, target["target"]) for target in targets if (size := amplitude_mm(target)) is not None]
+    motion = largest_motion(targets)
     flagged = sum(bool(target.get("flags")) for target in targets)
-    text = f"{len(sizes)} of {len(targets)} targets"
-    if flagged:
-        text += f", {flagged} flagged"
-    if sizes:
-        largest, name = max(sizes)
-        text += f", largest {largest:.3f} mm at {name}"
-    return text
+    parts = [f"{motion.measured} of {len(targets)} targets", f"{flagged} flagged" if flagged else "", motion.text()]
+    return ", ".join(part for part in parts if part)
 
 
 class Progress:
     """Shows events as they come.
 
+    The live line is drawn anew by a thread of its own, so that the age of what it shows grows even while this process
+    waits for an answer.
+
     Parameters
     ----------
     plain
         No live line even on a terminal.
+    to_stderr
+        Lines go to stderr, where stdout carries JSON.
+    monotonic
+        Seconds of a clock that never jumps.
     """
 
-    def __init__(self, *, plain: bool = False) -> None:
+    def __init__(
+        self, *, plain: bool = False, to_stderr: bool = False, monotonic: Callable[[], float] = time.monotonic
+    ) -> None:
         self._console = Console(highlight=False)
+        self._monotonic, self._to_stderr = monotonic, to_stderr
+        self._heard_s = monotonic()
+        self._is_silent = False
         self._live: Live | None = None
         self._status: dict[str, Any] = {}
         if self._console.is_terminal and not plain:
-            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+            self._live = Live(console=self._console, refresh_per_second=4, transient=True, get_renderable=self._bar)
 
     def __enter__(self) -> Self:
         if self._live is not None:
@@ -146,24 +158,50 @@ class Progress:
 
     def show(self, event: dict[str, Any]) -> None:
         """Show one message of the events socket."""
+        self.heard()
         if event["kind"] == "status":
             self._status = event["data"]
         line = event_line(event)
         if line is not None:
-            stamp = event["at"][11:19]
-            if self._live is None:
-                click.echo(f"{stamp} {line}")
-            else:
-                style = "bold red" if line.startswith("FAULT") else ""
-                self._console.print(Text.assemble((f"{stamp} ", "dim"), (line, style)), soft_wrap=True)
+            self._print(line, event["at"][11:19])
         if self._live is not None:
-            self._live.update(self._bar())
+            self._live.refresh()
+
+    def heard(self) -> None:
+        """Note that the daemon gave a sign of life."""
+        if self._is_silent:
+            self._print(f"HEARD      the daemon again, after {self._age_s():.0f} s")
+            self._is_silent = False
+        self._heard_s = self._monotonic()
+
+    def look(self) -> None:
+        """Report a silence, once; to be called about every second while nothing comes."""
+        if not self._is_silent and self._age_s() >= SILENT_S:
+            self._is_silent = True
+            self._print(f"SILENT     no heartbeat for {self._age_s():.0f} s: what is shown above is as old, or older")
+        if self._live is not None:
+            self._live.refresh()
+
+    def _age_s(self) -> float:
+        return self._monotonic() - self._heard_s
+
+    def _print(self, line: str, stamp: str | None = None) -> None:
+        """A line above the live one, with the daemon's time, or without a stamp where it is this process' own."""
+        stamp = stamp or "--:--:--"
+        if self._live is None:
+            click.echo(f"{stamp} {line}", err=self._to_stderr)
+            return
+        style = "bold red" if line.startswith(("FAULT", "SILENT")) else ""
+        self._console.print(Text.assemble((f"{stamp} ", "dim"), (line, style)), soft_wrap=True)
 
     def _bar(self) -> Text:
         """The live line: state, captures, what is shaking, time left, largest amplitude, faults."""
         status = self._status
         done, total = status.get("captures") or 0, status.get("captures_total") or 0
         line = Text(no_wrap=True, overflow="ellipsis")
+        age_s = self._age_s()
+        if age_s >= SILENT_S:
+            line.append(f"SILENT for {duration(age_s)}", style="bold red").append(", last known: ", style="dim")
         line.append(str(status.get("state", "…")), style="bold")
         if total:
             full = BAR_CELLS * min(done, total) // total
@@ -174,8 +212,8 @@ class Progress:
         parts = [excitation(status), status.get("doing")]
         if status.get("left_s") is not None:
             parts.append(f"{duration(status['left_s'])} left")
-        if status.get("largest_mm") is not None:
-            parts.append(f"largest {status['largest_mm']:.3f} mm")
+        if largest := _largest(status):
+            parts.append(f"largest {largest}")
         for part in parts:
             if part:
                 line.append(" · ", style="dim").append(part)

@@ -21,6 +21,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 STOP_TIMEOUT_S = 15.0
 CAPTURE_TIMEOUT_S = 120.0
 SUBMIT_TIMEOUT_S = 60.0
+REPLAY_TIMEOUT_S = 2.0
+"""Longest that `watch` waits for events that it missed before it looks whether the daemon lives; it asks again."""
 ENDED = {"campaign.completed": 0, "campaign.aborted": 1, "campaign.failed": 1}
 """How a campaign ends, and the exit status of who watched it."""
 
@@ -152,21 +154,24 @@ def watch(
     if events_address is None:
         events_address = ask(address, "rig")["service"]["events"]
     with (
-        Client(address, events_address) as client,
-        Progress(plain=as_json) as progress,
+        Client(address, events_address, timeout_s=REPLAY_TIMEOUT_S) as client,
+        Progress(plain=as_json, to_stderr=as_json) as progress,
         closing(_follow(client, after, patience)) as events,
     ):
         for event in events:
-            if as_json:
+            if event is None:
+                progress.look()
+            elif as_json:
+                progress.heard()
                 click.echo(json.dumps(event))
             else:
                 progress.show(event)
-            if until_end and event["kind"] in ENDED:
+            if until_end and event is not None and event["kind"] in ENDED:
                 sys.exit(ENDED[event["kind"]])
 
 
-def _follow(client: Client, after: int | None, patience_s: float) -> Generator[dict[str, Any], None, None]:
-    """Events in order, through restarts of the daemon and changes of its journal."""
+def _follow(client: Client, after: int | None, patience_s: float) -> Generator[dict[str, Any] | None, None, None]:
+    """Events in order, through restarts of the daemon and changes of its journal; None each second that none comes."""
     heard_s = time.monotonic()
     with closing(EventStream(client, after=after)) as stream:
         while True:
@@ -180,5 +185,7 @@ def _follow(client: Client, after: int | None, patience_s: float) -> Generator[d
             if event is not None:
                 heard_s = time.monotonic()
                 yield event
-            elif time.monotonic() > heard_s + patience_s:
+                continue
+            yield None
+            if time.monotonic() > heard_s + patience_s:
                 raise NoDaemon(f"nothing from {client.events_address} for {patience_s:g} s: has the daemon ended?")

@@ -24,6 +24,9 @@ FrameState = Literal["stored", "set_aside"]
 
 RESULTS_AT_A_TIME = 20
 
+NO_STEP = -1
+"""`CaptureRecord.step` of captures that belong to no step: a person's, and an outside system's while none runs."""
+
 
 @dataclass(frozen=True, slots=True)
 class CampaignRecord:
@@ -218,12 +221,14 @@ def count_campaigns(journal: Journal, state: CampaignState) -> int:
     return int(journal.read("SELECT count(*) FROM campaigns WHERE state = ?", state)[0][0])
 
 
-def count_captures(journal: Journal, campaign: str) -> int:
-    """How many captures of a campaign are stored, measured or not."""
+def captures_by_step(journal: Journal, campaign: str) -> dict[int, int]:
+    """How many captures of each step are stored, measured or not; manual ones are those of step `NO_STEP`."""
     rows = journal.read(
-        "SELECT count(*) FROM captures WHERE campaign = ? AND state IN ('stored', 'measured', 'unmeasured')", campaign
+        "SELECT step, count(*) FROM captures WHERE campaign = ? AND state IN ('stored', 'measured', 'unmeasured') "
+        "GROUP BY step",
+        campaign,
     )
-    return int(rows[0][0])
+    return {int(step): int(count) for step, count in rows}
 
 
 def reply_to(journal: Journal, request_id: str) -> tuple[str, dict[str, Any]] | None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.errors import DataError
+from labdaemon.orbit_size import semi_axes
 
 FLOOR_MM = 0.2
 """Semi-amplitudes below this are left out of the statistics: they are about to be `at_rest`."""
@@ -96,20 +97,19 @@ def summary(capture: str, pairs: Sequence[Pair]) -> Accuracy:
     )
 
 
-def semi_axes(row: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def row_axes(row: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Major and minor semi-axis of a row's orbit a·sin + b·cos, (3,) each; None when it has no numbers."""
     a, b = _vector(row, "a"), _vector(row, "b")
     if np.isnan(a).any():
         return None
     b = np.nan_to_num(b)
-    turn = 0.5 * math.atan2(2 * float(a @ b), float(a @ a - b @ b))
-    one, other = math.cos(turn) * a + math.sin(turn) * b, math.cos(turn) * b - math.sin(turn) * a
-    return (one, other) if one @ one >= other @ other else (other, one)
+    major, minor = semi_axes(a.tolist(), b.tolist())
+    return np.array(major), np.array(minor)
 
 
 def semi_amplitude_sd_mm(row: Mapping[str, Any]) -> float | None:
     """Standard deviation of the major semi-axis' length, from those of a's components; None where unknown."""
-    axes, sd = semi_axes(row), _vector(row, "sd_a")
+    axes, sd = row_axes(row), _vector(row, "sd_a")
     if axes is None or np.isnan(sd).all():
         return None
     length = float(np.linalg.norm(axes[0]))
@@ -139,7 +139,7 @@ def read_truth(path: Path) -> dict[str, list[dict[str, Any]]]:
 
 def _pair(true: Mapping[str, Any], reported: Sequence[Mapping[str, Any]]) -> Pair:
     place = _vector(true, "", unit=True)
-    axes = semi_axes(true)
+    axes = row_axes(true)
     true_mm = float(np.linalg.norm(axes[0])) if axes is not None else math.nan
     distances = [float(np.linalg.norm(_vector(row, "", unit=True) - place)) for row in reported]
     near = [(distance, index) for index, distance in enumerate(distances) if distance < NEAR_MM]
@@ -147,7 +147,7 @@ def _pair(true: Mapping[str, Any], reported: Sequence[Mapping[str, Any]]) -> Pai
         row = reported[min(near)[1]]
     else:  # a row that lost its place still counts by name, with its flag
         row = next((row for row in reported if row.get("target") == true.get("target")), {})
-    found = semi_axes(row) if near else None
+    found = row_axes(row) if near else None
     return Pair(
         str(true.get("target", "")),
         true_mm,

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.report.accuracy import Pair, semi_axes
+from labdaemon.orbit_size import is_doubtful
+from labdaemon.report.accuracy import Pair, row_axes
 
 MAGNIFY = 20.0
 """Motion is drawn this many times larger than the structure, as the paper's Fig. 10 does."""
@@ -45,7 +46,7 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     str
         An ``<svg>`` element: a front view (x, z), and a side view (y, z) unless everything lies in one plane.
     """
-    moving = [(row, axes) for row in rows if (axes := semi_axes(row)) is not None and row.get("x_mm") is not None]
+    moving = [(row, axes) for row in rows if (axes := row_axes(row)) is not None and row.get("x_mm") is not None]
     if not moving:
         return "<p>Nothing was measured in this capture.</p>"
     centres = np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for row, _ in moving])
@@ -54,6 +55,9 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
         for centre, (_, (major, minor)) in zip(centres, moving, strict=True)
     ]
     lengths = [float(np.linalg.norm(major)) for _, (major, _) in moving]
+    # The colour scale ends at the largest target without a doubt, or one doubtful target pales all the others.
+    sure = [length for length, (row, _) in zip(lengths, moving, strict=True) if not is_doubtful(row)]
+    largest = max(sure or lengths)
     drawn = np.vstack(orbits)
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     room = 0.06 * float((high - low).max())  # so that a view from the side is no sliver
@@ -68,10 +72,10 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
         view = _View(axis, left, margin, scale, low, high)
         parts += view.frame(name)
         for (row, _), centre, orbit, length in zip(moving, centres, orbits, lengths, strict=True):
-            parts += view.target(row, centre, orbit, length, max(lengths))
+            parts += view.target(row, centre, orbit, length, largest)
         left += float(spans[axis]) * scale + gap
     width = left - gap + 140
-    parts += _legend(width - 108, margin, max(lengths), scale)
+    parts += _legend(width - 108, margin, largest, scale)
     drawn_height = float(spans[2]) * scale + 2 * margin
     return (
         f'<svg viewBox="0 0 {width:.0f} {drawn_height:.0f}" width="{width:.0f}" role="img" '

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from labdaemon.durable import write_durably
-from labdaemon.report.accuracy import FLOOR_MM, Accuracy, semi_amplitude_sd_mm, semi_axes, summary
+from labdaemon.orbit_size import largest_motion
+from labdaemon.report.accuracy import FLOOR_MM, Accuracy, row_axes, semi_amplitude_sd_mm, summary
 from labdaemon.report.figures import MAGNIFY, envelope_svg, errors_svg
 
 _STYLE = """
@@ -124,16 +125,18 @@ def page(title: str, subtitle: str, captures: Sequence[CaptureResult]) -> str:
 
 
 def _overview(captures: Sequence[CaptureResult]) -> str:
-    measured = [row for capture in captures for row in capture.rows if semi_axes(row) is not None]
+    measured = [row for capture in captures for row in capture.rows if row_axes(row) is not None]
     clean = sum(not set(row.get("flags") or ()) - {"at_rest"} for row in measured)
     total = sum(len(capture.rows) for capture in captures)
     facts = [(str(len(captures)), "captures"), (f"{len(measured)} of {total}", "targets measured")]
     if total:
         facts.append((f"{clean / total:.1%}", "without a warning"))
-    sizes = [(_length(row), str(row["target"])) for row in measured]
-    if sizes:
-        largest, name = max(sizes)
-        facts.append((f"{largest:.3f} mm", f"largest semi-amplitude, at {name}"))
+    motion = largest_motion(measured)
+    doubt = f"; {motion.doubtful} doubtful" if motion.doubtful else ""
+    if motion.size_mm is not None:
+        facts.append((f"{motion.size_mm:.3f} mm", f"largest semi-amplitude, at {motion.target}{doubt}"))
+    elif motion.doubtful_mm is not None:
+        facts.append((f"{motion.doubtful_mm:.3f} mm?", f"largest, at {motion.doubtful_target}, but all are doubtful"))
     cells = "".join(f"<div><b>{escape(value)}</b><span>{escape(label)}</span></div>" for value, label in facts)
     return f'<div class="numbers">{cells}</div>'
 
@@ -184,7 +187,7 @@ def _capture(capture: CaptureResult) -> str:
 
 
 def _row(row: Mapping[str, Any]) -> tuple[str, ...]:
-    axes = semi_axes(row)
+    axes = row_axes(row)
     flags = ", ".join(row.get("flags") or ())
     place = tuple(_number(row.get(name), ".2f") for name in ("x_mm", "y_mm", "z_mm"))
     if axes is None:
@@ -207,11 +210,6 @@ def _table(head: Sequence[str], lines: Sequence[Sequence[str]], *, flags: bool =
 
 def _kind(is_flags: bool) -> str:
     return ' class="flags"' if is_flags else ""
-
-
-def _length(row: Mapping[str, Any]) -> float:
-    axes = semi_axes(row)
-    return math.sqrt(float(axes[0] @ axes[0])) if axes is not None else 0.0
 
 
 def _number(value: float | None, form: str) -> str:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from labdaemon.durable import write_durably
 from labdaemon.imaging.frame import Grey
 from labdaemon.imaging.raw import read_frame
+from labdaemon.orbit_size import semi_major_axis
 from labdaemon.processing.run import FolderResult
 from labdaemon.processing.tables import Row
 
@@ -73,7 +74,9 @@ def draw_overlay(
         _draw_motion(picture, at, a * scale * MAGNIFICATION, b * scale * MAGNIFICATION, colour, unit)
         target = str(row["target"])
         length = None if lengths_mm is None else lengths_mm.get(target)
-        text = f"{target} {math.hypot(*a):.2f} px" if length is None else f"{target} {length:.2f}"
+        text = (
+            f"{target} {semi_major_axis(a.tolist(), b.tolist()):.2f} px" if length is None else f"{target} {length:.2f}"
+        )
         _write(picture, text, at + np.array([6, 16]) * unit, 0.42 * unit)
     _caption(picture, title, rows, unit, has_mm=lengths_mm is not None)
     return picture

@@ -102,13 +102,14 @@ def load_rig(path: Path | str, *, check_drivers: bool = True, check_files: bool 
         Also look up every driver, refuse keys that it does not know, and let it check its values (this opens nothing).
 
     check_files
-        Also read the survey and look for the other files that it names. Who only wants to stop the table does not.
+        Also read the survey, look for the other files that it names, and refuse cameras that are not calibrated. Who
+        only wants to stop the table does not.
 
     Raises
     ------
     ConfigError
         Names file and key: unknown key (with the nearest known one), wrong type, value out of range, unknown driver,
-        two of one name or serial number, a file that is not there.
+        two of one name or serial number, a file that is not there, a camera that is not calibrated.
     DataError
         The survey is no survey; names its file.
     """
@@ -124,6 +125,8 @@ def load_rig(path: Path | str, *, check_drivers: bool = True, check_files: bool 
         for key, kind, name, section in _driver_sections(rig):
             settings = rig.shaker_settings() if kind == "shaker" else section.settings
             _check_driver(source, key, kind, name, section, settings)
+    if check_files:
+        _check_lenses(rig)
     return rig
 
 
@@ -255,6 +258,18 @@ def _check_files(rig: RigConfig) -> None:
     control = read_control(rig.path(rig.control.file), rig.control.size_mm)
     if rig.targets.file is not None:
         read_targets(rig.path(rig.targets.file), control)
+
+
+def _check_lenses(rig: RigConfig) -> None:
+    """Refuse a camera that no frame could be measured with: a whole night's captures would come to nothing."""
+    for name, camera in rig.cameras.items():
+        if camera.focal_px is None:
+            raise ConfigError(
+                "no focal_px: the camera is not calibrated; photograph a board with it and run `labdaemon calibrate "
+                "camera FOLDER`, which writes image_size, focal_px, principal_point_px and distortion",
+                source=rig.source,
+                key=f"cameras.{name}",
+            )
 
 
 def _check_names(rig: RigConfig) -> None:

@@ -29,7 +29,7 @@ from labdaemon.service.daemon import Held
 from labdaemon.service.devices import camera_choices, connect_others, exposure_steps
 from labdaemon.service.handlers import handlers
 from labdaemon.service.measuring import PoolMeasurer
-from labdaemon.service.status import status_of
+from labdaemon.service.status import place_of, status_of
 from labdaemon.service.supervise import supervise
 from labdaemon.service.watchdog import feed, notify
 from labdaemon.stream.events import EventPublisher
@@ -56,7 +56,12 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
     """
     engine: Engine
     config = held.config
-    publisher = EventPublisher(config.service.events, held.journal, lambda: status_of(engine), held.clock)
+    place = place_of(config.source, held.data)
+
+    def status() -> dict[str, Any]:
+        return status_of(engine, place)
+
+    publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
     recorder = Recorder(held.journal, DeviceLine("journal"), publisher.wake)
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
@@ -66,7 +71,7 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         engine = _engine(held, recorder, pool, partial(_plan, held, steps))
         rig = _describe(held, identities, publisher.address)
         submitted = partial(_plan, held, steps, check_disk=True)
-        held.desk.open(handlers(engine, submitted, lambda: status_of(engine), rig), held.journal)
+        held.desk.open(handlers(engine, submitted, status, rig), held.journal)
         return await _run_parts(held, engine, publisher, recorder, end)
     finally:
         publisher.close()

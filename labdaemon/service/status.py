@@ -1,18 +1,38 @@
-"""What the daemon tells of itself, every second and when asked. Cheap: it is made on the event loop."""
+"""What the daemon reports of itself, every second and when asked. Cheap: it is made on the event loop."""
 
 from __future__ import annotations
 
+import os
+import socket
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from labdaemon.campaign.engine import Engine
-from labdaemon.journal import records
+from labdaemon.campaign.steps import Plan
+from labdaemon.journal import records, transitions
+from labdaemon.journal.records import NO_STEP
 
 
-def status_of(engine: Engine) -> dict[str, Any]:
-    """State, campaign, step, captures, time left, largest amplitude, faults; None for what is not known."""
+def place_of(rig: Path, data: Path) -> dict[str, Any]:
+    """Which daemon this is: rig file, data folder, host and process. A person with two rigs reads it before acting."""
+    return {"rig": str(rig.resolve()), "data": str(data), "host": socket.gethostname(), "pid": os.getpid()}
+
+
+def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """State, campaign, step, captures, time left, largest motion, faults; None for what is not known.
+
+    Parameters
+    ----------
+    engine
+        What is asked.
+    place
+        Of `place_of`, added as it is.
+    """
     record, plan, step = engine.current, engine.plan, engine.step
-    journal = engine.lab.recorder.journal
-    told: dict[str, Any] = {
+    journal, largest = engine.lab.recorder.journal, engine.largest
+    taken = records.captures_by_step(journal, record.id if record is not None else transitions.MANUAL)
+    report: dict[str, Any] = {
         "state": "idle" if record is None else ("paused" if record.state == "paused" else "running"),
         "doing": engine.attempts.doing,
         "campaign": record.id if record else None,
@@ -26,16 +46,34 @@ def status_of(engine: Engine) -> dict[str, Any]:
         "amplitude_mm": step.amplitude_mm if step else None,
         "captures": None,
         "captures_total": None,
+        "captures_manual": taken.get(NO_STEP, 0),
         "left_s": None,
-        "largest_mm": engine.largest_mm,
+        "largest_mm": largest.size_mm if largest else None,
+        "largest_target": largest.target if largest else None,
+        "doubtful": largest.doubtful if largest else None,
+        "doubtful_mm": largest.doubtful_mm if largest else None,
         "faults": engine.reporter.faults,
         "last_fault": engine.reporter.last_fault,
         "queue": records.count_campaigns(journal, "queued"),
         "measuring": engine.measuring.waiting,
         "table": "moving" if engine.lab.table.excitation is not None else "rest",
+        **(place or {}),
     }
     if record is not None and plan is not None:
-        told["captures"] = records.count_captures(journal, record.id)
-        told["captures_total"] = sum(len(step.shots) for step in plan.steps)
-        told["left_s"] = round(sum(later.predicted_s for later in plan.steps[step.index if step else 0 :]), 1)
-    return told
+        planned = {one.index: len(one.shots) for one in plan.steps}
+        done = {index: min(count, planned.get(index, 0)) for index, count in taken.items()}
+        report["captures"] = sum(done.values())
+        report["captures_total"] = sum(planned.values())
+        report["captures_manual"] = sum(taken.values()) - report["captures"]
+        report["left_s"] = round(_left_s(engine, plan), 1)
+    return report
+
+
+def _left_s(engine: Engine, plan: Plan) -> float:
+    """Predicted time of what is still to be done; within a step it follows the clock, down to nothing."""
+    index = engine.step.index if engine.step is not None else 0
+    later_s = sum(step.predicted_s for step in plan.steps[index + 1 :])
+    present_s = plan.steps[index].predicted_s if index < len(plan.steps) else 0.0
+    if engine.attempts.began_s is not None and engine.step is not None:
+        present_s -= engine.lab.clock.monotonic() - engine.attempts.began_s
+    return later_s + max(present_s, 0.0)

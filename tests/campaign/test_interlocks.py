@@ -53,3 +53,20 @@ def test_envelopes_in_size_and_at_the_papers_edge():
     edge = [*rows, row("T4", 1.0, "paper_edge")]
     assert "1 of 4 targets" in (interlocks.envelope_reason(Limits(), edge) or "")
     assert interlocks.envelope_reason(Limits(max_paper_edge=0.25), edge) is None
+
+
+def test_a_motion_in_b_counts_whole():
+    turning = row("T1", 0.1) | {"bx_mm": 0.0, "by_mm": 3.0, "bz_mm": 0.0}
+    assert "T1 moves 3 mm" in (interlocks.envelope_reason(Limits(max_response_mm=2.0), [turning]) or "")
+
+
+def test_no_doubtful_target_trips_alone_and_several_do():
+    limits = Limits(max_response_mm=0.6, max_paper_edge=None)
+    rows = [row(f"T{n:02d}", 0.4) for n in range(20)]
+    assert interlocks.envelope_reason(limits, [*rows, row("R12", 0.977, "ambiguous")]) is None
+    assert interlocks.envelope_reason(limits, [*rows, *[row(f"R{n}", 0.9, "ambiguous") for n in range(5)]]) is None
+    assert interlocks.envelope_reason(limits, [*rows, row("R1", 0.9, "poor_fit")]) is None
+    edges = [row(f"R{n}", 70.0 + n, "paper_edge") for n in range(3)]
+    assert "3 flagged targets" in (interlocks.envelope_reason(limits, [*rows, *edges]) or "")
+    alone = [row(f"R{n}", 0.9, "ambiguous") for n in range(3)]
+    assert "3 flagged targets" in (interlocks.envelope_reason(limits, alone) or "")

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.cli.progress import Progress, amplitude_mm, duration, event_line, status_lines
+from labdaemon.cli.progress import Progress, duration, event_line, status_lines
+from labdaemon.orbit_size import size_mm
 
 AXIS = st.floats(-10, 10)
 
@@ -23,12 +24,12 @@ def test_amplitude_is_the_farthest_point_of_the_sampled_orbit(
     phase = np.linspace(0, 2 * math.pi, 4001)[:, None]
     farthest = np.linalg.norm(np.sin(phase) * np.array(a) + np.cos(phase) * np.array(b), axis=1).max()
     row = {f"{name}{axis}_mm": value for name, v in (("a", a), ("b", b)) for axis, value in zip("xyz", v, strict=True)}
-    assert amplitude_mm(row) == pytest.approx(farthest, rel=1e-5, abs=1e-6)
+    assert size_mm(row) == pytest.approx(farthest, rel=1e-5, abs=1e-6)
 
 
 def test_one_camera_has_no_normal_component() -> None:
-    assert amplitude_mm({"ax_mm": 3.0, "ay_mm": 0.0, "az_mm": 4.0, "bx_mm": None}) == 5.0
-    assert amplitude_mm({"ax_mm": None}) is None
+    assert size_mm({"ax_mm": 3.0, "ay_mm": 0.0, "az_mm": 4.0, "bx_mm": None}) == 5.0
+    assert size_mm({"ax_mm": None}) is None
 
 
 @pytest.mark.parametrize(
@@ -72,3 +73,54 @@ def test_on_a_terminal_one_line_lives_below_what_happened(
     shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().out)
     assert "10:11:12 paused     campaign c\n" in shown
     assert "3/6 · 2 faults · 12 Hz, 0.5 mm · settling · 1:15 left · largest 6.100 mm" in shown
+
+
+class Seconds:
+    """A clock under the test's hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+HEARTBEAT = {"kind": "status", "at": "2026-05-04T10:11:12Z", "campaign": None, "data": {"state": "running"}}
+
+
+def test_a_silent_daemon_is_reported_once_and_so_is_its_return(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = Seconds()
+    with Progress(monotonic=clock) as progress:
+        progress.show(HEARTBEAT)
+        for _ in range(6):
+            clock.now_s += 1.0
+            progress.look()
+        progress.show(HEARTBEAT)
+    silent, heard = capsys.readouterr().out.splitlines()
+    assert "SILENT     no heartbeat for 3 s" in silent
+    assert "HEARD      the daemon again, after 6 s" in heard
+
+
+def test_the_live_line_of_a_silent_daemon_shows_its_age(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+    clock = Seconds()
+    with Progress(monotonic=clock) as progress:
+        progress.show(HEARTBEAT)
+        clock.now_s += 75.0
+        progress.look()
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().out)
+    assert "SILENT for 1:15, last known: running" in shown
+
+
+def test_a_doubtful_target_does_not_lead() -> None:
+    rows = [{"target": "T1", "ax_mm": 0.411, "ay_mm": 0.0, "az_mm": 0.0, "flags": []}]
+    rows.append({"target": "R12", "ax_mm": 0.0, "ay_mm": 0.977, "az_mm": 0.0, "flags": ["ambiguous"]})
+    line = event_line({"kind": "envelope", "data": {"capture": "c", "targets": rows}})
+    assert line == "envelope   c: 2 of 2 targets, 1 flagged, largest 0.411 mm at T1; 1 doubtful"
+    status = {"state": "idle", "largest_mm": 0.411, "largest_target": "T1", "doubtful": 1, "captures_manual": 2}
+    assert status_lines(status)[1:] == [
+        "manual     2 captures outside the plan", "largest    0.411 mm at T1; 1 doubtful",
+    ]  # fmt: skip

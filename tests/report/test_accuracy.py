@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.errors import DataError
-from labdaemon.report.accuracy import compare, read_truth, semi_amplitude_sd_mm, semi_axes
+from labdaemon.report.accuracy import compare, read_truth, row_axes, semi_amplitude_sd_mm
 
 
 def row(target: str, x: float, a: tuple[float, float, float] | None, flags: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -59,9 +59,9 @@ AXIS = st.tuples(*(st.floats(-5, 5),) * 3)
 
 @settings(max_examples=40, deadline=None)
 @given(a=AXIS, b=AXIS)
-def test_semi_axes_are_those_of_the_sampled_orbit(a: Any, b: Any) -> None:
+def test_row_axes_are_those_of_the_sampled_orbit(a: Any, b: Any) -> None:
     names = [f"{kind}{axis}_mm" for kind in "ab" for axis in "xyz"]
-    axes = semi_axes(dict(zip(names, (*a, *b), strict=True)))
+    axes = row_axes(dict(zip(names, (*a, *b), strict=True)))
     assert axes is not None
     phase = np.linspace(0, 2 * math.pi, 8001)[:, None]
     lengths = np.linalg.norm(np.sin(phase) * np.array(a) + np.cos(phase) * np.array(b), axis=1)

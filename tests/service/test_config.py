@@ -162,6 +162,16 @@ def test_mistakes_are_named_with_their_path(tmp_path: Path, change: tuple[str, s
     assert "\n" not in str(caught.value)
 
 
+def test_a_camera_that_is_not_calibrated_is_refused_with_the_way_to_calibrate(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    for key in ("focal_px", "principal_point_px", "distortion"):
+        path.write_text(re.sub(rf"{key} = .*\n", "", path.read_text(), count=1))
+    with pytest.raises(ConfigError, match="labdaemon calibrate camera") as caught:
+        load_rig(path)
+    assert caught.value.key == "cameras.left"
+    assert load_rig(path, check_files=False).limits is not None  # enough to stop the table
+
+
 def test_a_survey_that_is_none_is_told_before_anything_runs(tmp_path: Path) -> None:
     path = written(tmp_path)
     (tmp_path / "sim-control.csv").write_text("name,x_mm,y_mm,z_mm,sd_mm\n0,1,2,3,0.1\n")

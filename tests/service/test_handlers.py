@@ -70,10 +70,18 @@ def test_status_follows_a_campaign(serve, monkeypatch: pytest.MonkeyPatch):
         assert (status["state"], status["campaign"], status["name"]) == ("running", answer["campaign"], "handled")
         assert status["steps"] == 2
         assert status["captures_total"] == 4
+        await lab.clock.sleep(3.0)
+        assert (await ask("status"))["left_s"] < status["left_s"]  # within a step too
         assert (await ask("campaign.pause"))["campaign"] == answer["campaign"]
         await lab.clock.sleep(30.0)
         status = await ask("status")
         assert (status["state"], status["table"], status["reason"]) == ("paused", "rest", "asked for")
+        taken = status["captures"]
+        await ask("capture", label="by hand")
+        await lab.clock.sleep(30.0)
+        later = await ask("status")
+        assert (later["captures"], later["captures_manual"]) == (taken, 1)  # counted apart
+        assert later["left_s"] == status["left_s"]  # a pause takes no time from the plan
         assert (await ask("stop"))["rest"] == "soft"
         with pytest.raises(WrongState):
             await ask("campaign.pause")
