@@ -1,4 +1,4 @@
-"""Wheel and sdist hold what a user needs: the packages, and in the sdist also config, systemd units, docs and examples."""
+"""Wheel and sdist hold what a user needs: the packages, config, systemd units, docs and examples."""
 
 from __future__ import annotations
 
