@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import sys
 from importlib import import_module
 from typing import cast
@@ -34,6 +35,9 @@ COMMANDS = {
 }
 """Subcommand -> where it lives and its line in `--help`. Imported only when called, so that `stop` starts at once."""
 
+STDERR_MS = 1000
+"""How long the last line waits for a reader of stderr."""
+
 
 class LazyGroup(click.Group):
     """A group whose members are imported on use."""
@@ -58,6 +62,18 @@ def cli() -> None:
     """Shaker, synchronised cameras, and vibration measured from motion blur."""
 
 
+def say(line: str) -> None:
+    """Write one line to stderr, unless its reader does not read: the end of a process waits for no reader."""
+    poll = select.poll()
+    try:
+        poll.register(sys.stderr.fileno(), select.POLLOUT)
+    except (OSError, ValueError):  # no descriptor: it is captured by a test
+        click.echo(line, err=True)
+        return
+    if poll.poll(STDERR_MS):
+        click.echo(line[: select.PIPE_BUF - 1], err=True)
+
+
 def main() -> None:
     """Entry point of the `labdaemon` command.
 
@@ -73,7 +89,7 @@ def main() -> None:
         exc.show()
         sys.exit(2)
     except LabdaemonError as exc:
-        click.echo(f"labdaemon: {exc}", err=True)
+        say(f"labdaemon: {exc}")
         sys.exit(exc.exit_status)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -5,7 +5,7 @@ import logging
 import socket
 from pathlib import Path
 
-from labdaemon.service.logs import JournalHandler, JsonFormatter, encode_fields
+from labdaemon.service.logs import JournalWriter, JsonFormatter, encode_fields
 
 
 def record(message: str, *, failed: bool = False) -> logging.LogRecord:
@@ -35,10 +35,10 @@ def test_fields_are_encoded_as_the_journal_reads_them():
 def test_records_reach_the_journal_with_their_fields(tmp_path: Path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
         server.bind(str(tmp_path / "socket"))
-        handler = JournalHandler(str(tmp_path / "socket"))
-        handler.emit(record("it is warm"))
+        writer = JournalWriter(str(tmp_path / "socket"))
+        writer(record("it is warm"))
         sent = server.recv(10_000).split(b"\n")
-        handler.close()
+        writer.close()
     assert b"MESSAGE=it is warm" in sent
     assert b"PRIORITY=4" in sent
     assert b"SYSLOG_IDENTIFIER=labdaemon" in sent
