@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,3 +50,46 @@ class Event:
     def to_json(self) -> bytes:
         """UTF-8 JSON; refuses NaN, which JSON does not know."""
         return json.dumps(self.as_dict(), allow_nan=False, separators=(",", ":")).encode()
+
+    def text(self) -> EventText:
+        """The event as `EventText`."""
+        return EventText(self.seq, self.kind, self.to_json())
+
+
+@dataclass(frozen=True, slots=True)
+class EventText:
+    """An event as it travels, with what is needed to send it.
+
+    Its payload is never parsed on its way from the journal to a client: an envelope of many targets would take the
+    event loop milliseconds each.
+
+    Attributes
+    ----------
+    seq, kind
+        As in `Event`.
+    json
+        The whole event as UTF-8 JSON.
+    """
+
+    seq: int
+    kind: str
+    json: bytes
+
+
+def event_text(row: tuple[int, str, str, str | None, str], journal: str) -> EventText:
+    """An event from its row: ``seq``, ``at``, ``kind``, ``campaign`` and ``data`` (JSON already)."""
+    seq, at, kind, campaign, data = row
+    head = json.dumps({"v": 1, "seq": seq, "at": at, "kind": kind, "campaign": campaign, "journal": journal})
+    return EventText(seq, kind, f'{head[:-1]}, "data": {data}}}'.encode())
+
+
+def within(texts: Iterable[EventText], most_bytes: int) -> list[EventText]:
+    """The first of them that are together not larger than this, but at least one; reads no further than needed."""
+    taken: list[EventText] = []
+    size = 0
+    for text in texts:
+        size += len(text.json)
+        if taken and size > most_bytes:
+            break
+        taken.append(text)
+    return taken

@@ -11,13 +11,13 @@ import sqlite3
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import knows_sync, sync_folder
-from labdaemon.journal.event import Event
+from labdaemon.journal.event import Event, EventText, event_text, within
 from labdaemon.journal.schema import APPLICATION_ID, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 
@@ -114,6 +114,29 @@ class Journal:
             "SELECT seq, at, kind, campaign, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?", seq, limit
         )
         return [Event(row[0], row[1], row[2], row[3], json.loads(row[4]), self.uuid) for row in rows]
+
+    def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        """Events after this `seq` as they travel, at most `limit` and, from the second on, `most_bytes`; quick."""
+        with self._read_lock:
+            return self._texts(self._reader, seq, limit, most_bytes)
+
+    def history(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        """As `recent`, over a connection of its own: for reading much, on any thread, while the loop reads little."""
+        try:
+            reader = sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
+        except sqlite3.Error as exc:
+            raise as_data_error(exc, self.path) from exc
+        with closing(reader):
+            return self._texts(reader, seq, limit, most_bytes)
+
+    def _texts(self, reader: sqlite3.Connection, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        """Row by row, so that no more is read than is sent."""
+        sql = "SELECT seq, at, kind, campaign, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?"
+        try:
+            with closing(reader.execute(sql, (seq, limit))) as rows:
+                return within((event_text(row, self.uuid) for row in rows), most_bytes)
+        except sqlite3.Error as exc:
+            raise as_data_error(exc, self.path) from exc
 
     def read(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
         """Rows of what is committed."""

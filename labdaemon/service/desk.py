@@ -1,4 +1,4 @@
-"""Where commands arrive from the moment the socket is bound, to be carried out once there is somebody to do it."""
+"""Where commands arrive from the moment the socket is bound, to be carried out once the parts that serve are ready."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ METHODS = (
 class Desk:
     """Takes commands from the moment the socket is bound, and carries them out once `open` was called.
 
+    What can be done before that, because it needs neither cameras nor the journal, is handed over by `offer`.
+
     It also knows the replies to earlier requests. Handlers keep those in the journal with the change itself, so that a
     crash cannot come between, and `keep` has nothing left to do.
     """
@@ -33,7 +35,12 @@ class Desk:
     def __init__(self) -> None:
         self._opened = asyncio.Event()
         self._handlers: dict[str, Handler] = {}
+        self._early: dict[str, Handler] = {}
         self._journal: Journal | None = None
+
+    def offer(self, handlers: dict[str, Handler]) -> None:
+        """Carry out these commands until `open` replaces them: ``stop`` and ``status`` while devices are waited for."""
+        self._early = handlers
 
     def open(self, handlers: dict[str, Handler], journal: Journal) -> None:
         """Carry out what waits and what comes."""
@@ -53,5 +60,7 @@ class Desk:
         """The reply is kept already."""
 
     async def _do(self, method: str, params: dict[str, Any]) -> Any:
+        if not self._opened.is_set() and method in self._early:
+            return await self._early[method](params)
         await self._opened.wait()
         return await self._handlers[method](params)

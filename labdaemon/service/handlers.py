@@ -2,79 +2,87 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.places import campaign_folder
-from labdaemon.errors import UsageError
+from labdaemon.off_loop import off_loop
+from labdaemon.service.parameters import Parameters
 from labdaemon.stream.commands import Handler
 from labdaemon.stream.events import replay
-from labdaemon.stream.messages import InvalidParams
+from labdaemon.tomlfile import MAX_BYTES
 
 MAX_LABEL = 200
-
-
-def text_of(params: dict[str, Any], name: str, *, default: str | None = None, longest: int = 1 << 20) -> str:
-    """A text parameter.
-
-    Raises
-    ------
-    InvalidParams
-        It is missing, or no text.
-    """
-    value = params.get(name, default)
-    if not isinstance(value, str) or len(value) > longest:
-        raise InvalidParams(f"{name} is a text of at most {longest} characters")
-    return value
+MAX_ID = 200
+"""Characters of a campaign's or request's id."""
 
 
 def handlers(
-    engine: Engine, planner: Callable[[str], Plan], status: Callable[[], dict[str, Any]], rig: dict[str, Any]
+    engine: Engine,
+    planner: Callable[[str], Plan],
+    status: Callable[[], dict[str, Any]],
+    rig: dict[str, Any],
+    *,
+    aside: Callable[..., Awaitable[Any]] = off_loop,
 ) -> dict[str, Handler]:
-    """Every command's handler by its name."""
+    """Every command's handler by its name.
+
+    Parameters
+    ----------
+    aside
+        Calls what blocks (a plan, a long read of the journal) off the event loop; simulated time calls it at once.
+    """
     journal = engine.lab.recorder.journal
 
-    async def tell_status(params: dict[str, Any]) -> Any:
+    async def answer_status(params: dict[str, Any]) -> Any:
+        Parameters(params)
         return {**status(), "seq": journal.last_seq, "journal": journal.uuid}
 
-    async def tell_rig(params: dict[str, Any]) -> Any:
+    async def answer_rig(params: dict[str, Any]) -> Any:
+        Parameters(params)
         return rig
 
     async def submit(params: dict[str, Any]) -> Any:
-        plan = await asyncio.to_thread(planner, text_of(params, "toml"))
-        id = await engine.submit(plan, params.get("request_id"))
+        given = Parameters(params, "toml", "request_id")
+        request_id = given.optional_text("request_id", longest=MAX_ID)
+        plan = await aside(planner, given.text("toml", longest=MAX_BYTES))
+        id = await engine.submit(plan, request_id)
         return {"campaign": id, "folder": str(campaign_folder(engine.lab.data, id))}
 
     async def pause(params: dict[str, Any]) -> Any:
-        return {"campaign": await engine.pause(_campaign(params))}
+        return {"campaign": await engine.pause(_campaign(Parameters(params, "campaign")))}
 
     async def resume(params: dict[str, Any]) -> Any:
-        accept = bool(params.get("accept_changed_rig", False))
-        return {"campaign": await engine.resume(_campaign(params), accept_changed_rig=accept)}
+        given = Parameters(params, "campaign", "accept_changed_rig")
+        accept = given.flag("accept_changed_rig")
+        return {"campaign": await engine.resume(_campaign(given), accept_changed_rig=accept)}
 
     async def abort(params: dict[str, Any]) -> Any:
-        return {"campaign": await engine.abort(_campaign(params))}
+        return {"campaign": await engine.abort(_campaign(Parameters(params, "campaign")))}
 
     async def capture(params: dict[str, Any]) -> Any:
-        label = text_of(params, "label", default="", longest=MAX_LABEL)
+        given = Parameters(params, "label", "sharp", "request_id")
         taken = await engine.capture(
-            label, is_sharp=bool(params.get("sharp", False)), request_id=params.get("request_id")
+            given.text("label", default="", longest=MAX_LABEL),
+            is_sharp=given.flag("sharp"),
+            request_id=given.optional_text("request_id", longest=MAX_ID),
         )
         return {"capture": taken.name, "opened_at": taken.opened_at}
 
     async def stop(params: dict[str, Any]) -> Any:
+        # Parameters of any name are let through: nothing may keep the table from being stopped.
         rest = await engine.stop()
         return {"rest": rest.by, "troubles": list(rest.troubles)}
 
     async def replay_events(params: dict[str, Any]) -> Any:
-        return replay(journal, params)
+        Parameters(params, "after", "limit")
+        return await aside(replay, journal, params)
 
     return {
-        "status": tell_status,
-        "rig": tell_rig,
+        "status": answer_status,
+        "rig": answer_rig,
         "campaign.submit": submit,
         "campaign.pause": pause,
         "campaign.resume": resume,
@@ -85,8 +93,6 @@ def handlers(
     }
 
 
-def _campaign(params: dict[str, Any]) -> str | None:
-    value = params.get("campaign")
-    if value is not None and not isinstance(value, str):
-        raise UsageError("campaign is a campaign's id")
-    return value
+def _campaign(given: Parameters) -> str | None:
+    """The campaign that a command is about; None for the current one."""
+    return given.optional_text("campaign", longest=MAX_ID)

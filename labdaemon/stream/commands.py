@@ -1,8 +1,8 @@
 """Commands in: one JSON-RPC request a message, each answered once, whatever else is going on.
 
 Hostile or broken peers cost a bounded amount: frames beyond 1 MiB end the connection, what is no request is answered
-with the reason, and no more than `MAX_IN_HAND` commands are worked on at a time, `MAX_OF_ONE` of them one client's
-(`stop` is always let through).
+with the reason, and no more than `MAX_IN_PROGRESS` commands are worked on at a time, `MAX_OF_ONE` of them one client's
+(`stop` is always let through). Large answers are made one at a time, and only as fast as they are read.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from functools import partial
 from typing import Any, Protocol
 
@@ -18,9 +18,12 @@ import zmq
 import zmq.asyncio
 
 from labdaemon.errors import ConfigError, DeviceError, LabdaemonError
+from labdaemon.off_loop import off_loop
 from labdaemon.stream import messages
 from labdaemon.stream.messages import BadRequest, InvalidParams, Request
 from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
+from labdaemon.stream.text_limits import INLINE_BYTES, shown
+from labdaemon.stream.unread import LARGE_BYTES, UnreadAnswers
 
 Handler = Callable[[dict[str, Any]], Awaitable[Any]]
 """Takes the params, returns the result, raises a `LabdaemonError`."""
@@ -28,8 +31,13 @@ Handler = Callable[[dict[str, Any]], Awaitable[Any]]
 IDEMPOTENT = frozenset({"campaign.submit", "capture"})
 """Commands that take a ``request_id``."""
 ALWAYS = frozenset({"stop"})
-MAX_IN_HAND = 64
+LARGE = frozenset({"events.replay"})
+"""Commands whose answers may be megabytes."""
+MAX_IN_PROGRESS = 64
 MAX_OF_ONE = 16
+COMMAND_S = 600.0
+"""No command takes longer; one that does has lost what it waited for, and gives its place back."""
+TOO_MANY = "too many commands at once; try again"
 
 log = logging.getLogger(__name__)
 
@@ -76,9 +84,12 @@ class CommandServer:
         self.address = address
         self._handlers = dict(handlers)
         self._requests = requests or MemoryRequests()
-        self._under_way: dict[str, asyncio.Future[Any]] = {}
+        self._in_progress: dict[str, asyncio.Future[Any]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._in_hand: Counter[bytes] = Counter()
+        self._of_client: Counter[bytes] = Counter()
+        self._large: set[asyncio.Task[None]] = set()
+        self._unread = UnreadAnswers()
+        self._turn = asyncio.Lock()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
 
@@ -102,7 +113,12 @@ class CommandServer:
         try:
             while True:
                 frames = await self._socket.recv_multipart(copy=False)
-                await self._receive(self._socket, [frame.bytes for frame in frames[:4]])
+                try:
+                    await self._receive(self._socket, [frame.bytes for frame in frames[:4]])
+                except Exception:  # whatever a peer's frame led to: the next one is received all the same
+                    log.exception("a frame could not be received")
+                # A socket that has more to read does not let the loop run; a flood must not keep it to itself.
+                await asyncio.sleep(0)
         finally:
             for task in self._tasks:
                 task.cancel()
@@ -117,6 +133,12 @@ class CommandServer:
         """Read one message and start on it. Its envelope (a REQ has an empty delimiter) is mirrored."""
         envelope = frames[:2] if len(frames) > 2 and not frames[1] else frames[:1]
         body = frames[len(envelope) :]
+        if len(body) == 1 and len(body[0]) > INLINE_BYTES:
+            if self._is_full(envelope[0]):
+                await socket.send_multipart([*envelope, messages.error_bytes(messages.BUSY, TOO_MANY, None)])
+            else:
+                self._start(envelope[0], self._parse_and_answer(socket, envelope, body[0]))
+            return
         try:
             if len(body) != 1:
                 raise BadRequest(messages.INVALID_REQUEST, "a request is one frame")
@@ -124,41 +146,90 @@ class CommandServer:
         except BadRequest as exc:
             await socket.send_multipart([*envelope, messages.error_bytes(exc.code, str(exc), exc.id)])
             return
-        client = envelope[0]
-        is_full = len(self._tasks) >= MAX_IN_HAND or self._in_hand[client] >= MAX_OF_ONE
-        if is_full and request.method not in ALWAYS:
-            answer = messages.error_bytes(messages.BUSY, "too many commands at once; try again", request.id)
-            await socket.send_multipart([*envelope, answer])
+        if self._is_full(envelope[0], request.method in LARGE) and request.method not in ALWAYS:
+            await socket.send_multipart([*envelope, messages.error_bytes(messages.BUSY, TOO_MANY, request.id)])
             return
-        task = asyncio.create_task(self._answer(socket, envelope, request))
+        self._start(envelope[0], self._answer(socket, envelope, request), is_large=request.method in LARGE)
+
+    def _is_full(self, client: bytes, is_large: bool = False) -> bool:
+        """Whether a command has no place. Those with large answers may wait long, and take nobody else's."""
+        queued = len(self._large) if is_large else len(self._tasks) - len(self._large)
+        return queued >= MAX_IN_PROGRESS or self._of_client[client] >= MAX_OF_ONE
+
+    def _start(self, client: bytes, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
+        task = asyncio.create_task(work)
         self._tasks.add(task)
-        self._in_hand[client] += 1
+        if is_large:
+            self._large.add(task)
+        self._of_client[client] += 1
         task.add_done_callback(partial(self._forget, client))
 
     def _forget(self, client: bytes, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
-        self._in_hand[client] -= 1
-        if not self._in_hand[client]:
-            del self._in_hand[client]
+        self._large.discard(task)
+        self._of_client[client] -= 1
+        if not self._of_client[client]:
+            del self._of_client[client]
+        if not task.cancelled() and task.exception() is not None:
+            log.error("an answer could not be sent", exc_info=task.exception())
+
+    async def _parse_and_answer(self, socket: zmq.asyncio.Socket, envelope: list[bytes], body: bytes) -> None:
+        """A long request, a campaign most likely: parsed off the event loop."""
+        try:
+            request = await off_loop(messages.parse_request, body)
+        except BadRequest as exc:
+            await socket.send_multipart([*envelope, messages.error_bytes(exc.code, str(exc), exc.id)])
+            return
+        await self._answer(socket, envelope, request)
 
     async def _answer(self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request) -> None:
-        try:
-            answer = messages.result_bytes(await self._do(request), request.id)
-        except LabdaemonError as exc:
-            code = messages.code_of(exc)
-            answer = messages.error_bytes(code, str(exc), request.id, **_details(exc))
-        except NotImplementedError:
-            answer = messages.error_bytes(messages.METHOD_NOT_FOUND, f"no method {request.method[:80]!r}", request.id)
-        except Exception:
-            log.exception("command %s failed", request.method)
-            answer = messages.error_bytes(messages.INTERNAL_ERROR, "the daemon failed; see its log", request.id)
-        if not request.is_notification:
+        if request.method not in LARGE:
+            await self._send(socket, envelope, request, await self._outcome(request))
+            return
+        client = envelope[0]
+        while True:
+            if not await self._unread.wait_for_room(client):
+                busy = messages.error_bytes(messages.BUSY, "read the earlier answers first; try again", request.id)
+                await self._send(socket, envelope, request, busy)
+                return
+            async with self._turn:
+                if self._unread.has_room(client):  # another answer of this client may have taken it meanwhile
+                    await self._send(socket, envelope, request, await self._outcome(request))
+                    return
+
+    async def _send(
+        self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request, answer: bytes
+    ) -> None:
+        if request.is_notification:
+            return
+        if len(answer) < LARGE_BYTES:
             await socket.send_multipart([*envelope, answer])
+            return
+        # Not copied, and tracked: libzmq holds it until the peer has read, and what one may make it hold is bounded.
+        tracker = await socket.send_multipart([*envelope, zmq.Frame(answer, track=True)], copy=False, track=True)
+        self._unread.add(envelope[0], len(answer), tracker)
+
+    async def _outcome(self, request: Request) -> bytes:
+        """The answer, whatever happens: no kind of exception may leave a client without one."""
+        try:
+            async with asyncio.timeout(COMMAND_S):
+                return messages.result_bytes(await self._do(request), request.id)
+        except LabdaemonError as exc:
+            return messages.error_bytes(messages.code_of(exc), shown(exc, 2000), request.id, **_details(exc))
+        except UnknownMethod:
+            text = f"no method {shown(request.method, 80)!r}"
+            return messages.error_bytes(messages.METHOD_NOT_FOUND, text, request.id)
+        except BaseException as exc:
+            task = asyncio.current_task()
+            if isinstance(exc, asyncio.CancelledError) and task is not None and task.cancelling():
+                raise  # the daemon ends
+            log.error("command %s failed", request.method, exc_info=exc)
+            return messages.error_bytes(messages.INTERNAL_ERROR, "the daemon failed; see its log", request.id)
 
     async def _do(self, request: Request) -> Any:
         handler = self._handlers.get(request.method)
         if handler is None:
-            raise NotImplementedError
+            raise UnknownMethod
         request_id = request.params.get("request_id")
         if request.method not in IDEMPOTENT or request_id is None:
             return await handler(request.params)
@@ -168,18 +239,22 @@ class CommandServer:
 
     async def _do_once(self, request_id: str, handler: Handler, params: dict[str, Any]) -> Any:
         """Do it unless it was done, or is being done, under this id; a failure is not kept and may be tried again."""
-        if request_id in self._under_way:
-            return await asyncio.shield(self._under_way[request_id])
+        if request_id in self._in_progress:
+            return await asyncio.shield(self._in_progress[request_id])
         known = self._requests.answer(request_id)
         if known is not None:
             return known
-        future = self._under_way[request_id] = asyncio.ensure_future(handler(params))
+        future = self._in_progress[request_id] = asyncio.ensure_future(handler(params))
         try:
             result = await future
         finally:
-            del self._under_way[request_id]
+            del self._in_progress[request_id]
         self._requests.keep(request_id, result)
         return result
+
+
+class UnknownMethod(Exception):
+    """There is no such method."""
 
 
 def _details(error: LabdaemonError) -> dict[str, Any]:

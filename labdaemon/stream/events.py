@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import zmq
 import zmq.asyncio
 
 from labdaemon.clock import Clock, rfc3339
-from labdaemon.journal.event import Event
-from labdaemon.stream.messages import InvalidParams
+from labdaemon.journal.event import EventText
+from labdaemon.stream.messages import InvalidParams, RawJson, shown
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
 
 STATUS_PERIOD_S = 1.0
 GREETING_PAUSE_S = 0.02
 """Between two answers to new subscriptions, so that a flood of them costs little."""
-BATCH = 256
-"""Events read from the outbox at a time."""
+BATCH = 32
+BATCH_BYTES = 1 << 20
+"""Events, and bytes of them, read from the outbox at a time: a millisecond or two of the event loop."""
 MAX_REPLAY = 1000
 MAX_REPLAY_BYTES = 4 << 20
 """An answer stays below this, so that a client far behind asks several times instead of choking the daemon once."""
@@ -42,8 +43,12 @@ class Outbox(Protocol):
         """`seq` of the last committed event, 0 before the first."""
         ...
 
-    def events_after(self, seq: int, limit: int) -> Sequence[Event]:
-        """Committed events with a larger `seq`, ascending, at most `limit`."""
+    def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        """Committed events with a larger `seq`, ascending, at most `limit` and `most_bytes` (but one at least)."""
+        ...
+
+    def history(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        """The same from any thread, however long it takes, in nothing else's way."""
         ...
 
 
@@ -108,9 +113,9 @@ class EventPublisher:
                 pass
 
     async def _send_committed(self) -> None:
-        while events := self._outbox.events_after(self._sent, BATCH):
+        while events := self._outbox.recent(self._sent, BATCH, BATCH_BYTES):
             for event in events:
-                await self._bound.send_multipart([event.kind.encode(), event.to_json()])
+                await self._bound.send_multipart([event.kind.encode(), event.json])
                 self._sent = event.seq
             await asyncio.sleep(0)
 
@@ -151,8 +156,8 @@ class EventPublisher:
         self._context.term()
 
 
-def replay(outbox: Outbox, params: dict[str, Any]) -> dict[str, Any]:
-    """Answer ``events.replay``.
+def replay(outbox: Outbox, params: dict[str, Any]) -> RawJson:
+    """Answer ``events.replay``. Reads the disk: call it off the event loop.
 
     Parameters
     ----------
@@ -161,8 +166,9 @@ def replay(outbox: Outbox, params: dict[str, Any]) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        ``events`` with a larger `seq`, ascending; ``last``, the journal's last `seq`; and ``journal``, its UUID.
+    RawJson
+        An object of ``events`` with a larger `seq`, ascending; ``last``, the journal's last `seq`; and ``journal``, its
+        UUID.
 
     Raises
     ------
@@ -172,12 +178,9 @@ def replay(outbox: Outbox, params: dict[str, Any]) -> dict[str, Any]:
     after, limit = params.get("after", 0), params.get("limit", MAX_REPLAY)
     for name, value in (("after", after), ("limit", limit)):
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 62:
-            raise InvalidParams(f"{name} is a whole number from 0, not {str(value)[:40]}")
-    events: list[dict[str, Any]] = []
-    size = 0
-    for event in outbox.events_after(after, min(limit, MAX_REPLAY)) if limit else ():
-        size += len(event.to_json())
-        if events and size > MAX_REPLAY_BYTES:
-            break
-        events.append(event.as_dict())
-    return {"events": events, "last": outbox.last_seq, "journal": outbox.uuid}
+            raise InvalidParams(f"{name} is a whole number from 0, not {shown(value)}")
+    last = outbox.last_seq
+    events = outbox.history(after, min(limit, MAX_REPLAY), MAX_REPLAY_BYTES) if limit else []
+    last = max(last, events[-1].seq if events else 0)
+    tail = json.dumps({"last": last, "journal": outbox.uuid})[1:]
+    return RawJson(b'{"events": [' + b",".join(event.json for event in events) + b"], " + tail.encode())

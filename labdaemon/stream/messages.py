@@ -7,11 +7,11 @@ older daemon. Numbers that JSON does not have (NaN, infinities, a float beyond d
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar
 
 from labdaemon.errors import ConfigError, DeviceError, InterlockError, LabdaemonError, LimitError, UsageError
+from labdaemon.stream.text_limits import is_text, parse_json, shown, surrogate_in
 
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
@@ -41,6 +41,9 @@ NAMES = {
 """Code -> the word in ``error.data.name``."""
 
 RequestId = str | int | float | None
+
+MAX_ID = 200
+"""Characters or digits of a request's id, which every answer mirrors."""
 
 
 class CommandError(LabdaemonError):
@@ -123,9 +126,9 @@ def parse_request(frame: bytes) -> Request:
         Not JSON, or JSON that is no request.
     """
     try:
-        document = json.loads(frame.decode(), parse_constant=_refuse_constant, parse_float=_finite)
-    except (ValueError, RecursionError) as exc:
-        raise BadRequest(PARSE_ERROR, f"not JSON: {_short(exc)}") from None
+        document = parse_json(frame)
+    except ValueError as exc:
+        raise BadRequest(PARSE_ERROR, f"not JSON: {shown(exc, 200)}") from None
     if isinstance(document, list):
         raise BadRequest(INVALID_REQUEST, "batches are not supported; send one request a message")
     if not isinstance(document, dict):
@@ -133,6 +136,8 @@ def parse_request(frame: bytes) -> Request:
     request_id = document.get("id")
     if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
         raise BadRequest(INVALID_REQUEST, "id is a string, a number or null")
+    if request_id is not None and not (len(str(request_id)) <= MAX_ID and is_text(str(request_id))):
+        raise BadRequest(INVALID_REQUEST, f"id is a text or a number of at most {MAX_ID} characters")
     if document.get("jsonrpc") != "2.0":
         raise BadRequest(INVALID_REQUEST, 'jsonrpc is "2.0"', request_id)
     method, params = document.get("method"), document.get("params", {})
@@ -144,6 +149,8 @@ def parse_request(frame: bytes) -> Request:
         if params:
             raise BadRequest(INVALID_PARAMS, "params go by name: send an object", request_id)
         params = {}
+    if (where := surrogate_in(params)) is not None:
+        raise BadRequest(INVALID_PARAMS, f"{shown(where)} is no text: it has half a surrogate pair", request_id)
     return Request(method, params, request_id, "id" not in document)
 
 
@@ -151,6 +158,19 @@ def request_bytes(method: str, params: dict[str, Any], request_id: RequestId) ->
     """A request as a client sends it."""
     document = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+
+
+@dataclass(frozen=True, slots=True)
+class RawJson:
+    """A result that is JSON already, so that nothing has to make it on the event loop.
+
+    Attributes
+    ----------
+    text
+        UTF-8 JSON.
+    """
+
+    text: bytes
 
 
 def result_bytes(result: Any, request_id: RequestId) -> bytes:
@@ -161,6 +181,8 @@ def result_bytes(result: Any, request_id: RequestId) -> bytes:
     ValueError, TypeError
         The result is not JSON (NaN among it).
     """
+    if isinstance(result, RawJson):
+        return b'{"jsonrpc":"2.0","id":' + json.dumps(request_id).encode() + b',"result":' + result.text + b"}"
     document = {"jsonrpc": "2.0", "id": request_id, "result": result}
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
@@ -186,18 +208,3 @@ def code_of(error: LabdaemonError) -> int:
             return DEVICE
         case _:
             return INTERNAL_ERROR
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no JSON number")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text[:20]} is out of range")
-    return value
-
-
-def _short(error: Exception) -> str:
-    return "nested too deeply" if isinstance(error, RecursionError) else str(error)[:200]

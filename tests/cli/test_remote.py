@@ -17,10 +17,10 @@ import pytest
 from labdaemon.cli.main import COMMANDS, main
 from labdaemon.clock import SystemClock
 from labdaemon.errors import LimitError
-from labdaemon.journal.event import Event
+from labdaemon.journal.event import Event, EventText, within
 from labdaemon.stream.commands import CommandServer
 from labdaemon.stream.events import EventPublisher, replay
-from labdaemon.stream.messages import WrongState
+from labdaemon.stream.messages import RawJson, WrongState
 
 CAMPAIGN = Path(__file__).parents[2] / "config" / "campaigns" / "three-modes.toml"
 STATUS = {
@@ -73,8 +73,10 @@ class Daemon:
     def last_seq(self) -> int:
         return len(self.events)
 
-    def events_after(self, seq: int, limit: int) -> list[Event]:
-        return self.events[seq : seq + limit]
+    def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        return within((event.text() for event in self.events[seq : seq + limit]), most_bytes)
+
+    history = recent
 
     async def _main(self) -> None:
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
@@ -105,7 +107,7 @@ class Daemon:
         publisher.close()
         server.close()
 
-    async def _replay(self, params: dict[str, Any]) -> dict[str, Any]:
+    async def _replay(self, params: dict[str, Any]) -> RawJson:
         return replay(self, params)
 
     def _handler(self, name: str, answer: Any) -> Any:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,11 @@ exposure_s = 1.0
 """
 
 
+async def at_once(function, *args):
+    """Another thread would be waited for in no simulated time at all."""
+    return function(*args)
+
+
 @pytest.fixture
 def serve(tmp_path: Path):
     """Run a scenario of a lab and what is asked of it."""
@@ -34,7 +40,8 @@ def serve(tmp_path: Path):
             lab = FakeLab(tmp_path, clock)
             lab.start()
             desk = Desk()
-            desk.open(handlers(lab.engine, lab.plan, lambda: status_of(lab.engine), {"rig": 1}), lab.journal)
+            served = handlers(lab.engine, lab.plan, lambda: status_of(lab.engine), {"rig": 1}, aside=at_once)
+            desk.open(served, lab.journal)
             asked = desk.handlers()
             try:
                 await scenario(lab, desk, lambda method, **params: asked[method](params))
@@ -53,13 +60,7 @@ def test_every_method_of_the_contract_is_there():
     }  # fmt: skip
 
 
-def test_status_follows_a_campaign(serve, monkeypatch: pytest.MonkeyPatch):
-    # to_thread would wait for another thread, for which simulated time does not wait
-    async def at_once(function, *args):
-        return function(*args)
-
-    monkeypatch.setattr(asyncio, "to_thread", at_once)
-
+def test_status_follows_a_campaign(serve):
     async def scenario(lab, desk, ask):
         assert (await ask("status"))["state"] == "idle"
         answer = await ask("campaign.submit", toml=CAMPAIGN, request_id="r")
@@ -87,19 +88,14 @@ def test_status_follows_a_campaign(serve, monkeypatch: pytest.MonkeyPatch):
             await ask("campaign.pause")
         await ask("campaign.resume")
         await lab.until(answer["campaign"], "completed")
-        replayed = await ask("events.replay", after=0)
+        replayed = json.loads((await ask("events.replay", after=0)).text)
         assert [event["seq"] for event in replayed["events"]] == list(range(1, lab.journal.last_seq + 1))
         assert replayed["journal"] == lab.journal.uuid
 
     serve(scenario)
 
 
-def test_wrong_parameters_are_refused(serve, monkeypatch: pytest.MonkeyPatch):
-    async def at_once(function, *args):
-        return function(*args)
-
-    monkeypatch.setattr(asyncio, "to_thread", at_once)
-
+def test_wrong_parameters_are_refused(serve):
     async def scenario(lab, desk, ask):
         with pytest.raises(InvalidParams, match="toml is a text"):
             await ask("campaign.submit", toml=7)
@@ -107,6 +103,13 @@ def test_wrong_parameters_are_refused(serve, monkeypatch: pytest.MonkeyPatch):
             await ask("campaign.submit", toml=CAMPAIGN.replace("1.0\nexp", "500.0\nexp"))
         with pytest.raises(InvalidParams, match="label is a text"):
             await ask("capture", label="x" * 300)
+        with pytest.raises(InvalidParams, match="unknown parameter lable; did you mean label"):
+            await ask("capture", lable="x")
+        with pytest.raises(InvalidParams, match="sharp is true or false"):
+            await ask("capture", sharp=1)
+        with pytest.raises(InvalidParams, match="campaign is a text"):
+            await ask("campaign.pause", campaign=["x"])
+        assert (await ask("stop", lable="x"))["rest"] == "soft"  # whatever it says
 
     serve(scenario)
 
@@ -122,6 +125,11 @@ def test_a_command_before_there_is_somebody_to_do_it_waits():
         async def status(params):
             return "here"
 
+        async def early(params):
+            return "early"
+
+        desk.offer({"stop": early})
+        assert await desk.handlers()["stop"]({}) == "early"
         desk.open({"status": status}, None)  # type: ignore[arg-type]
         assert await asked == "here"
 

@@ -13,7 +13,7 @@ import zmq
 import zmq.asyncio
 
 from labdaemon.errors import ConfigError, InterlockError, LimitError, TransportError, UsageError
-from labdaemon.stream.commands import MAX_IN_HAND, MAX_OF_ONE, CommandServer
+from labdaemon.stream.commands import MAX_IN_PROGRESS, MAX_OF_ONE, CommandServer
 from labdaemon.stream.messages import Busy, Forbidden, NotFound, WrongState
 
 
@@ -254,7 +254,7 @@ async def test_a_flood_is_refused_but_stop_gets_through(lab: Lab, dealer: zmq.as
 
 async def test_one_clients_flood_leaves_room_for_others_until_all_is_full(lab: Lab) -> None:
     with zmq.asyncio.Context() as context:
-        dealers = [context.socket(zmq.DEALER) for _ in range(MAX_IN_HAND // MAX_OF_ONE + 1)]
+        dealers = [context.socket(zmq.DEALER) for _ in range(MAX_IN_PROGRESS // MAX_OF_ONE + 1)]
         for place, dealer in enumerate(dealers):
             dealer.set(zmq.LINGER, 0)
             dealer.connect(lab.server.address)

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError
-from labdaemon.journal.event import Event
+from labdaemon.journal.event import Event, EventText, within
 from labdaemon.stream import events as events_module
 from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon, RemoteError
 from labdaemon.stream.commands import CommandServer
 from labdaemon.stream.events import EventPublisher, replay
-from labdaemon.stream.messages import InvalidParams
+from labdaemon.stream.messages import InvalidParams, RawJson
 
 
 class ListOutbox:
@@ -37,8 +37,10 @@ class ListOutbox:
     def last_seq(self) -> int:
         return len(self.events)
 
-    def events_after(self, seq: int, limit: int) -> list[Event]:
-        return self.events[seq : seq + limit]
+    def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        return within((event.text() for event in self.events[seq : seq + limit]), most_bytes)
+
+    history = recent
 
     def add(self, count: int = 1, size: int = 0) -> None:
         for _ in range(count):
@@ -73,7 +75,7 @@ class Service:
         self.publisher.close()
         self.server.close()
 
-    async def _replay(self, params: dict[str, Any]) -> dict[str, Any]:
+    async def _replay(self, params: dict[str, Any]) -> RawJson:
         return replay(self.outbox, params)
 
     def commit(self, count: int = 1, size: int = 0, *, silently: bool = False) -> None:
@@ -240,6 +242,11 @@ def test_a_late_answer_is_not_taken_for_another() -> None:
 
 def test_replay_answers_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     outbox = ListOutbox(count=1500)
+
+    def replay(outbox: ListOutbox, params: dict[str, Any]) -> dict[str, Any]:
+        answer: dict[str, Any] = json.loads(events_module.replay(outbox, params).text)
+        return answer
+
     answer = replay(outbox, {"after": 10, "limit": 5000})
     assert [event["seq"] for event in answer["events"]] == list(range(11, 1011))
     assert (answer["last"], answer["journal"]) == (1500, "journal-1")

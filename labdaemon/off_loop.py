@@ -1,0 +1,55 @@
+"""Blocking work off the event loop, on threads that hold up nothing, not even the end of the process.
+
+`asyncio.to_thread` shares a pool whose threads the interpreter waits for at its end: six slow jobs of one peer would
+block results and SIGTERM alike.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import TypeVar, TypeVarTuple
+
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
+
+
+async def off_loop(function: Callable[[*Ts], T], *arguments: *Ts) -> T:
+    """Call a blocking function on a thread of its own and wait for what it returns.
+
+    A caller that is cancelled waits no longer; the thread ends when the function does, or with the process.
+
+    Raises
+    ------
+    Exception
+        Whatever the function raises.
+    RuntimeError
+        The system has no thread left.
+    """
+    loop = asyncio.get_running_loop()
+    future: asyncio.Future[T] = loop.create_future()
+
+    def settle(result: T | None, error: BaseException | None) -> None:
+        if future.done():
+            return
+        if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit | asyncio.CancelledError):
+            # A future does not take the first; the others would end the loop or look like a cancelled caller.
+            error = RuntimeError(f"{type(error).__name__} in {getattr(function, '__name__', function)}")
+        if error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(result)  # type: ignore[arg-type]
+
+    def run() -> None:
+        result, error = None, None
+        try:
+            result = function(*arguments)
+        except BaseException as exc:
+            error = exc
+        try:
+            loop.call_soon_threadsafe(settle, result, error)
+        except RuntimeError:
+            return  # the loop has closed: its caller is gone
+    threading.Thread(target=run, name="off-loop", daemon=True).start()
+    return await future
