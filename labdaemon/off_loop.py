@@ -51,5 +51,6 @@ async def off_loop(function: Callable[[*Ts], T], *arguments: *Ts) -> T:
             loop.call_soon_threadsafe(settle, result, error)
         except RuntimeError:
             return  # the loop has closed: its caller is gone
+
     threading.Thread(target=run, name="off-loop", daemon=True).start()
     return await future

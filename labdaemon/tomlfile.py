@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import errno
+import os
+import select
+import time
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,9 +15,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, mod
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from labdaemon.errors import ConfigError
+from labdaemon.toml_limits import check_toml
 
 MAX_BYTES = 1 << 20
 """A rig or campaign is a page of text; what is larger is some other file."""
+PIPE_S = 5.0
+"""How long a file that is a pipe may take to deliver."""
 
 
 class Section(BaseModel):
@@ -95,17 +102,28 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     ConfigError
         Missing, unreadable, too large, not UTF-8 or not TOML (with line and column).
     """
+    text = read_text(path)
+    return text, parse_toml(text, source=path)
+
+
+def read_text(path: Path) -> str:
+    """Text of a file that a person wrote: whole, bounded, and without waiting for a pipe that says nothing.
+
+    Raises
+    ------
+    ConfigError
+        Missing, unreadable, too large or not UTF-8.
+    """
     try:
-        raw = path.read_bytes() if path.stat().st_size <= MAX_BYTES else None
-    except OSError as exc:
-        raise ConfigError(f"cannot be read ({exc.strerror or exc})", source=path) from None
-    if raw is None:
+        raw = _read_bytes(path)
+    except (OSError, ValueError) as exc:  # ValueError: a NUL in the path
+        raise ConfigError(f"cannot be read ({getattr(exc, 'strerror', None) or exc})", source=path) from None
+    if len(raw) > MAX_BYTES:
         raise ConfigError(f"is larger than {MAX_BYTES} bytes, so it is no configuration", source=path)
     try:
-        text = raw.decode()
+        return raw.decode()
     except UnicodeDecodeError as exc:
         raise ConfigError(f"is not UTF-8 text (byte {exc.start})", source=path) from None
-    return text, parse_toml(text, source=path)
 
 
 def parse_toml(text: str, *, source: Path | str | None = None) -> dict[str, Any]:
@@ -114,12 +132,39 @@ def parse_toml(text: str, *, source: Path | str | None = None) -> dict[str, Any]
     Raises
     ------
     ConfigError
-        Not TOML; tells line and column.
+        Not TOML, with line and column; or beyond what `labdaemon.toml_limits` lets through.
     """
     try:
+        size = len(text.encode())
+    except UnicodeEncodeError as exc:
+        raise ConfigError(f"is no text: it has half a surrogate pair (character {exc.start})", source=source) from None
+    if size > MAX_BYTES:
+        raise ConfigError(f"is larger than {MAX_BYTES} bytes, so it is no configuration", source=source)
+    check_toml(text, source=source)
+    try:
         return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as exc:
-        raise ConfigError(f"is not valid TOML: {exc}", source=source) from None
+    except (ValueError, RecursionError) as exc:  # ValueError: TOMLDecodeError, and numbers that Python refuses
+        raise ConfigError(f"is not valid TOML: {' '.join(str(exc).split())[:200]}", source=source) from None
+
+
+def _read_bytes(path: Path) -> bytes:
+    """At most one byte more than is taken. A pipe (``<(command)`` of a shell) has seconds to deliver."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        raw = b""
+        deadline = time.monotonic() + PIPE_S
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        while len(raw) <= MAX_BYTES:
+            if not poll.poll(max(deadline - time.monotonic(), 0.0) * 1000.0):
+                raise TimeoutError(errno.ETIMEDOUT, f"nothing came within {PIPE_S:g} s")
+            block = os.read(descriptor, MAX_BYTES + 1 - len(raw))
+            if not block:
+                break
+            raw += block
+        return raw
+    finally:
+        os.close(descriptor)
 
 
 def _location(detail: ErrorDetails, data: dict[str, Any]) -> tuple[int | str, ...]:
@@ -165,5 +210,5 @@ def _sentence(detail: ErrorDetails) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -7,13 +7,13 @@ A key that is nearly one of ours is a slip of the pen and is refused.
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from labdaemon import tomlfile
 from labdaemon.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -67,15 +67,16 @@ class RigFile(_Table):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; `ConfigError` in one line if it is missing or is not TOML."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError("file is missing", source=path) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
-        raise ConfigError(f"is not TOML: {exc}", source=path) from None
-    except OSError as exc:
-        raise ConfigError(f"cannot be read: {exc.strerror}", source=path) from None
+    """Read a TOML file, within the bounds of `labdaemon.tomlfile`.
+
+    Raises
+    ------
+    ConfigError
+        It is missing, too large, or is not TOML: in one line.
+    """
+    if not path.exists():
+        raise ConfigError("file is missing", source=path)
+    return tomlfile.read_toml(path)[1]
 
 
 def refuse_misspelt(table: Mapping[str, Any], known: frozenset[str], path: Path, key: str = "") -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from labdaemon.processing.tables import Row, read_csv
 from labdaemon.report.accuracy import Accuracy, compare
 from labdaemon.report.html import CaptureResult, Picture, write_page
 from labdaemon.report.overlay import overlay_path
+from labdaemon.tomlfile import read_toml
 
 PICTURE_WIDTH_PX = 760
 """Of overlays in the page; the large ones lie beside it."""
@@ -96,7 +96,7 @@ def _facts(folder: Path) -> dict[str, dict[str, str]]:
     """What the capture files say, by capture and by group."""
     facts: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob("captures/*/capture.toml")):
-        about = tomllib.loads(path.read_text(encoding="utf-8"))
+        _, about = read_toml(path)
         told = {}
         if "frequency_hz" in about:
             told["excitation"] = f"{about['frequency_hz']:g} Hz"

@@ -197,9 +197,7 @@ class CommandServer:
                     await self._send(socket, envelope, request, await self._outcome(request))
                     return
 
-    async def _send(
-        self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request, answer: bytes
-    ) -> None:
+    async def _send(self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request, answer: bytes) -> None:
         if request.is_notification:
             return
         if len(answer) < LARGE_BYTES:

@@ -84,7 +84,7 @@ def test_reads_what_is_known_of_an_exposure(folder: Path) -> None:
         (lambda f: (f / "captures/c1/capture.toml").write_text("exposure_s = 0\n"), r"capture\.toml: exposure_s"),
         (lambda f: (f / "captures/c1/capture.toml").write_text('group = "a/b"\n'), "cannot be a name"),
         (lambda f: (f / "captures/c1/capture.toml").write_text("[cameras.top]\n"), "no camera of rig"),
-        (lambda f: (f / "captures/c1/capture.toml").write_text("x = \n"), "is not TOML"),
+        (lambda f: (f / "captures/c1/capture.toml").write_text("x = \n"), "is not valid TOML"),
     ],
 )
 def test_a_bad_capture_is_refused_by_file(folder: Path, change: object, said: str) -> None:

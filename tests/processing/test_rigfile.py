@@ -57,7 +57,7 @@ def test_a_daemon_s_own_sections_and_keys_are_left_alone(tmp_path: Path) -> None
         ("[3872, 2592]", "[3872]", r"cameras\.left\.image_size"),
         ("3937.7, 3937.7", "-1, 1", r"cameras\.left\.focal_px"),
         ("-0.09, 0.07", "nan, 0.07", r"cameras\.left\.distortion"),
-        ("[control]", "[control", r"is not TOML"),
+        ("[control]", "[control", r"is not valid TOML"),
         ('family = "apriltag-36h11"', "", r"control\.family"),
     ],
 )
