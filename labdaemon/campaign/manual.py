@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from dataclasses import replace
 
 from labdaemon.campaign.measuring import Measuring
@@ -14,6 +15,8 @@ from labdaemon.errors import LabdaemonError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import NO_STEP, CaptureRecord
+
+log = logging.getLogger(__name__)
 
 
 class Manual:
@@ -47,7 +50,7 @@ class Manual:
         fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
         task = asyncio.create_task(self._take(label, campaign, is_sharp, request_id, fired))
         self._finishing.add(task)
-        task.add_done_callback(self._done)
+        task.add_done_callback(lambda task: self._done(task, fired))
         return await asyncio.shield(fired)
 
     async def listen(self, window_s: float) -> None:
@@ -62,9 +65,15 @@ class Manual:
         while self._finishing:
             await asyncio.wait(set(self._finishing))
 
-    def _done(self, task: asyncio.Task[None]) -> None:
+    def _done(self, task: asyncio.Task[None], fired: asyncio.Future[CaptureRecord]) -> None:
+        """However it ended, the turn is given back and who waits for the opening is answered."""
         self._finishing.discard(task)
         self._turn.release()
+        error = None if task.cancelled() else task.exception()
+        if not fired.done():
+            fired.set_exception(error or LabdaemonError("the capture was given up before the shutters opened"))
+        elif error is not None:
+            log.error("a manual capture was not stored", exc_info=error)
 
     async def _take(
         self,

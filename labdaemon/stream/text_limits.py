@@ -1,6 +1,6 @@
-"""Text of a peer, bounded before anything else looks at it: size, nesting, digits, and that it is text at all.
+r"""Text of a peer, bounded before anything else looks at it: size, nesting, digits, and that it is text at all.
 
-JSON can write half of a surrogate pair (``"\\ud800"``). It is no character: no file, no database and no log takes it,
+JSON can write half of a surrogate pair (``"\ud800"``). It is no character: no file, no database and no log takes it,
 so it is refused where it arrives, and nothing further in has to think of it.
 """
 
