@@ -205,7 +205,8 @@ class CommandServer:
             return
         # Not copied, and tracked: libzmq holds it until the peer has read, and what one may make it hold is bounded.
         tracker = await socket.send_multipart([*envelope, zmq.Frame(answer, track=True)], copy=False, track=True)
-        self._unread.add(envelope[0], len(answer), tracker)
+        if tracker is not None:
+            self._unread.add(envelope[0], len(answer), tracker)
 
     async def _outcome(self, request: Request) -> bytes:
         """The answer, whatever happens: no kind of exception may leave a client without one."""

@@ -16,8 +16,9 @@ import zmq.asyncio
 
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.journal.event import EventText
-from labdaemon.stream.messages import InvalidParams, RawJson, shown
+from labdaemon.stream.messages import InvalidParams, RawJson
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
+from labdaemon.stream.text_limits import shown
 
 STATUS_PERIOD_S = 1.0
 GREETING_PAUSE_S = 0.02

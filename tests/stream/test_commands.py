@@ -34,7 +34,7 @@ class Lab:
                 "rubbish": self.rubbish,
             },
         )
-        self.errors: dict[str, Exception] = {
+        self.errors: dict[str, BaseException] = {
             "busy": Busy("one at a time"),
             "forbidden": Forbidden("observers may not"),
             "limits": LimitError("too far", source="campaign", key="phase[1].amplitude_mm"),
@@ -45,6 +45,13 @@ class Lab:
             "config": ConfigError("bad", source="campaign", key="name"),
             "interlock": InterlockError("response beyond 30 mm"),
             "internal_error": ZeroDivisionError("secret detail"),
+            "cancelled": asyncio.CancelledError(),
+            "exit": SystemExit(3),
+            "interrupt": KeyboardInterrupt(),
+            "generator": GeneratorExit(),
+            "recursion": RecursionError("secret"),
+            "memory": MemoryError(),
+            "no_text": UsageError("the name \ud800 is no text"),
         }
 
     async def echo(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -148,6 +155,39 @@ async def test_errors_become_codes(dealer: zmq.asyncio.Socket, how: str, code: i
         assert error["data"]["device"] == "shaker"
 
 
+@pytest.mark.parametrize("how", ["cancelled", "exit", "interrupt", "generator", "recursion", "memory", "no_text"])
+async def test_no_kind_of_exception_keeps_a_place(dealer: zmq.asyncio.Socket, how: str) -> None:
+    for number in range(MAX_OF_ONE + 1):
+        error = (await ask(dealer, "fail", number, how=how))["error"]
+        assert error["code"] == (-32602 if how == "no_text" else -32603)
+        assert "secret" not in json.dumps(error)
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        '{"label": "\\ud800"}',
+        '{"request_id": "a\\udfffb"}',
+        '{"list": [1, {"deep": "\\ud83d"}]}',
+        '{"\\ud800": 1}',
+    ],
+)
+async def test_half_a_surrogate_pair_is_no_parameter(dealer: zmq.asyncio.Socket, params: str) -> None:
+    for method in ("echo", "capture", "stop"):
+        await dealer.send(f'{{"jsonrpc":"2.0","id":7,"method":"{method}","params":{params}}}'.encode())
+        answer = await receive(dealer)
+        assert (answer["id"], answer["error"]["code"]) == (7, -32602)
+    await dealer.send(b'{"jsonrpc":"2.0","id":7,"method":"echo","params":{"label":"\\ud83d\\ude00"}}')
+    assert (await receive(dealer))["result"] == {"label": "\U0001f600"}
+
+
+async def test_a_long_request_is_parsed_and_answered(dealer: zmq.asyncio.Socket) -> None:
+    text = "x" * 500_000
+    assert (await ask(dealer, "echo", text=text))["result"] == {"text": text}
+    await dealer.send(b"[" * 500_000)
+    assert (await receive(dealer))["error"]["code"] == -32700
+
+
 async def test_a_result_that_is_no_json_is_an_internal_error(dealer: zmq.asyncio.Socket) -> None:
     assert (await ask(dealer, "rubbish"))["error"]["code"] == -32603
 
@@ -170,6 +210,12 @@ CORPUS: list[tuple[bytes, int]] = [
     (b"{}", -32600),
     (b'{"jsonrpc":"1.0","id":1,"method":"echo"}', -32600),
     (b'{"jsonrpc":"2.0","id":{"a":1},"method":"echo"}', -32600),
+    (b'{"jsonrpc":"2.0","id":"\\ud800","method":"echo"}', -32600),
+    (b'{"jsonrpc":"2.0","id":"' + b"x" * 1000 + b'","method":"echo"}', -32600),
+    (b'{"jsonrpc":"2.0","id":' + b"9" * 300 + b',"method":"echo"}', -32600),
+    (b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"x":' + b"9" * 5000 + b"}}", -32700),
+    (b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"x":0.' + b"9" * 5000 + b"}}", -32700),
+    (b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"x":' + b"[" * 40 + b"]" * 40 + b"}}", -32700),
     (b'{"jsonrpc":"2.0","id":true,"method":"echo"}', -32600),
     (b'{"jsonrpc":"2.0","id":1,"method":5}', -32600),
     (b'{"jsonrpc":"2.0","id":1,"method":null,"params":{}}', -32600),
