@@ -23,6 +23,7 @@ from typing import Any
 import click
 
 from labdaemon.bench.kill import small_rig
+from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.guard import Guard
 from labdaemon.campaign.interlocks import Limits
 from labdaemon.capture.capture import Lab
@@ -133,7 +134,8 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
     async def quiet() -> None:
         return None
 
-    guard = Guard(lab, Limits(), trip, free_bytes=lambda: 1 << 40, oldest_s=lambda: 0.0, quiet=quiet)
+    disk = DataDisk(lab.recorder, lambda: 1 << 40, 0)
+    guard = Guard(lab, Limits(), trip, disk=disk, oldest_s=lambda: 0.0, quiet=quiet)
     watching = asyncio.create_task(guard.run())
     found: dict[bool, list[float]] = {False: [], True: []}
     try:

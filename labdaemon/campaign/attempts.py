@@ -19,7 +19,7 @@ from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.recover import reconnect_suspects, recover
 from labdaemon.capture.rig import Rest
-from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, StorageFull
+from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, StorageUnavailable
 from labdaemon.journal import transitions
 
 MAX_BACKOFF_S = 60.0
@@ -86,11 +86,8 @@ class Attempts:
             except Interrupted:
                 self.needs_recovery = True
                 return
-            except StorageFull as exc:
-                await self.leave()
-                await self._reporter.fault(exc, campaign=campaign, step=step, action="wait for room")
-                self.doing = "waiting for disk space"
-                await self._reporter.wait_for_room()
+            except StorageUnavailable as exc:
+                await self._wait_for_disk(campaign, step, exc)
             except LabdaemonError as exc:
                 failures += 1
                 if not await self._retries(campaign, step, exc, failures):
@@ -110,10 +107,11 @@ class Attempts:
         failures = 0
         while True:
             try:
+                await self._lab.recorder.settled()
                 await reconnect_suspects(self._lab)
                 await recover(self._lab)
-            except StorageFull:
-                await self._reporter.wait_for_room()
+            except StorageUnavailable as exc:
+                await self._reporter.wait_for_disk(exc, campaign)
             except LabdaemonError as exc:
                 failures += 1
                 self._suspect(exc)
@@ -124,6 +122,17 @@ class Attempts:
             else:
                 self.needs_recovery = False
                 return
+
+    async def _wait_for_disk(self, campaign: str, step: Step, exc: StorageUnavailable) -> None:
+        """The table rests for as long as the disk takes nothing."""
+        self.doing = "waiting for the disk"
+        try:
+            await self.leave()
+        except InterlockError as worse:
+            await self._reporter.fault(worse, campaign=campaign, step=step, action="use the emergency stop")
+            self._control.want("pause", str(worse))
+        self._control.tripped = None
+        await self._reporter.wait_for_disk(exc, campaign)
 
     async def leave(self) -> None:
         """Table to rest before anything else; what was in flight is settled before the next step."""
@@ -175,7 +184,7 @@ class Attempts:
                 return True
             case "skip":
                 told = {"label": step.label, "kind": step.kind}
-                await self._reporter.when_there_is_room(
+                await self._reporter.patiently(
                     lambda: self._lab.recorder.write(transitions.end_step, campaign, step.index, told, str(exc))
                 )
             case _ if self._control.wish == "go":

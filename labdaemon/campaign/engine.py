@@ -11,26 +11,32 @@ from typing import Any
 
 from labdaemon.campaign.attempts import Attempts, Policy
 from labdaemon.campaign.control import Control
-from labdaemon.campaign.folder import prepare_folder
+from labdaemon.campaign.disk import DataDisk
+from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.guard import Guard
 from labdaemon.campaign.interlocks import Limits, envelope_reason
+from labdaemon.campaign.lookup import named_campaign
 from labdaemon.campaign.manual import Manual
 from labdaemon.campaign.measuring import Measuring, Rows
 from labdaemon.campaign.reporter import Reporter
 from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.rig import Rest
-from labdaemon.errors import ConfigError, InterlockError, LabdaemonError
+from labdaemon.errors import ConfigError, InterlockError, LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CampaignRecord, CampaignState, CaptureRecord
+from labdaemon.journal.storage import JournalError
 from labdaemon.orbit_size import LargestMotion, largest_motion
-from labdaemon.stream.messages import Busy, NotFound, WrongState
+from labdaemon.stream.messages import Busy, WrongState
 
 log = logging.getLogger(__name__)
 
 CHANGED_RIG = (
     "the rig file has changed since this campaign was planned; put it back, or resume with --accept-changed-rig"
 )
+
+RECORD_S = 2.0
+"""How long the answer to `stop` waits for its record in the journal."""
 
 
 class Engine:
@@ -74,21 +80,23 @@ class Engine:
     ) -> None:
         self.lab, self.measuring, self.limits = lab, measuring, limits
         self.policy = policy = policy or Policy()
-        self._planner, self._folder_files = planner, folder_files
+        self._planner = planner
         self.control = Control()
-        self.reporter = Reporter(lab.recorder, lab.clock, free_bytes, limits.min_disk_bytes)
+        self.disk = DataDisk(lab.recorder, free_bytes, limits.min_disk_bytes)
+        self.reporter = Reporter(lab.recorder, lab.clock, self.disk)
+        self.files = CampaignFiles(lab.recorder, lab.data, measuring, self.reporter, folder_files)
         self.attempts = Attempts(lab, measuring, self.control, self.reporter, policy)
         self.guard = Guard(
             lab,
             limits,
             self.trip,
-            free_bytes=free_bytes,
+            disk=self.disk,
             oldest_s=measuring.oldest_s,
             quiet=self.control.quiet.wait,
             pace=policy.pace,
         )
         self.manual = Manual(lab, measuring)
-        measuring.published = self._on_published
+        measuring.published, measuring.patiently = self._on_published, self.reporter.patiently
         self._stops: set[asyncio.Task[None]] = set()
         self.current: CampaignRecord | None = None
         self.plan: Plan | None = None
@@ -99,19 +107,27 @@ class Engine:
         """Walk campaigns until cancelled. The table must be at rest."""
         guard = asyncio.create_task(self.guard.run())
         try:
+            await self.measuring.mend()
             while True:
-                self.control.news.clear()
-                record = self._next()
-                if record is not None:
-                    await self._take_up(record, guard)
-                else:
-                    if self.attempts.needs_recovery:
-                        await self.attempts.settle_down(None, None)
-                    await self._idle(guard)
+                try:
+                    await self._do_next(guard)
+                except StorageUnavailable as exc:  # a read or write that nothing nearer has waited with
+                    await self._rest()
+                    await self.reporter.wait_for_disk(exc)
         finally:
             guard.cancel()
             with suppress(asyncio.CancelledError):
                 await guard
+
+    async def _do_next(self, guard: asyncio.Task[None]) -> None:
+        self.control.news.clear()
+        record = self._next()
+        if record is not None:
+            await self._take_up(record, guard)
+            return
+        if self.attempts.needs_recovery:
+            await self.attempts.settle_down(None, None)
+        await self._idle(guard)
 
     def trip(self, error: LabdaemonError) -> None:
         """Interlock: stop the table at once; the step is left, and its `on_fault` decides what becomes of it."""
@@ -137,7 +153,7 @@ class Engine:
         NotFound, WrongState
             There is no such campaign, or it is not running.
         """
-        record = self._named(campaign, "running")
+        record = named_campaign(self.lab.recorder.journal, campaign, self.current, "running")
         self.control.want("pause", reason)
         if not await self._move(record, "paused", reason):
             raise WrongState(f"campaign {record.id} has just ended")
@@ -151,7 +167,7 @@ class Engine:
         NotFound, WrongState
             There is no such campaign, it is not paused, or it was planned for another rig.
         """
-        record = self._named(campaign, "paused")
+        record = named_campaign(self.lab.recorder.journal, campaign, self.current, "paused")
         plan = self._planner(record.toml)
         if plan.digest != record.digest:
             if not accept_changed_rig:
@@ -170,7 +186,7 @@ class Engine:
         NotFound, WrongState
             There is no such campaign, or it has ended.
         """
-        record = self._named(campaign, "running", "paused", "queued")
+        record = named_campaign(self.lab.recorder.journal, campaign, self.current, "running", "paused", "queued")
         if self.current is None or record.id != self.current.id:
             await self._move(record, "aborted", reason)
         else:
@@ -214,8 +230,15 @@ class Engine:
             return await self.attempts.stop_table()
         finally:
             if record is not None and is_running:
-                await self._move(record, "paused", reason)
-                self.control.want("pause", reason, at_once=True)
+                # What was seen of the table is answered also while the disk takes no record of it.
+                pausing = asyncio.create_task(self._pause_stopped(record, reason))
+                self._stops.add(pausing)
+                pausing.add_done_callback(self._stops.discard)
+                await asyncio.wait({pausing}, timeout=RECORD_S)
+
+    async def _pause_stopped(self, record: CampaignRecord, reason: str) -> None:
+        await self._move(record, "paused", reason)
+        self.control.want("pause", reason, at_once=True)
 
     def _next(self) -> CampaignRecord | None:
         journal = self.lab.recorder.journal
@@ -260,20 +283,18 @@ class Engine:
                 else:
                     await self._move(record, "paused", CHANGED_RIG)
                     self.control.clear("pause")
-            await self.reporter.when_there_is_room(lambda: self._begin(record, plan))
+            await self.files.open(record, plan)
             if self._state(record.id) == "queued":
                 await self._move(record, "running", **_outline(plan))
             await self._walk(record, plan, guard)
-        except ConfigError as exc:
+            self.control.clear()
+        except (JournalError, StorageUnavailable):
+            raise  # of the whole daemon: what a person wants of the campaign holds when it is taken up again
+        except (ConfigError, StorageError) as exc:
             await self._move(record, "failed", str(exc))
+            self.control.clear()
         finally:
             self.current = self.plan = self.step = None
-            self.control.clear()
-
-    async def _begin(self, record: CampaignRecord, plan: Plan) -> None:
-        prepare_folder(self.lab.data, record.id, {**self._folder_files, "campaign.toml": record.toml})
-        sizes = {step.label: len(step.shots) for step in plan.steps if step.grouped}
-        await self.measuring.resume(record.id, sizes)
 
     async def _walk(self, record: CampaignRecord, plan: Plan, guard: asyncio.Task[None]) -> None:
         known = records.steps(self.lab.recorder.journal, record.id)
@@ -284,6 +305,7 @@ class Engine:
                 case "abort":
                     await self._rest()
                     await self.measuring.drain()
+                    await self.files.close(record)
                     await self._move(record, "aborted", self.control.reason)
                     return
                 case "pause":
@@ -306,6 +328,8 @@ class Engine:
         self.attempts.doing, self.attempts.began_s = "paused", None
         while self.control.wish == "pause":
             await self.control.wait(guard)
+        if self.control.wish == "go":
+            await self.files.renew(record)
 
     async def _finish(self, record: CampaignRecord, plan: Plan) -> bool:
         """All steps have ended: wait for the last envelopes; False when somebody wants something else meanwhile."""
@@ -320,6 +344,10 @@ class Engine:
         await self.measuring.catch_up(record.id)
         await self.measuring.drain()
         self.control.tripped = None  # by a last envelope, when the table rested already
+        refused = await self.files.close(record)
+        if refused is not None:
+            await self._fault(refused, "pause")
+            self.control.want("pause" if self.control.wish == "go" else self.control.wish, str(refused))
         if self.control.wish != "go":
             return False
         taken = sum(records.captures_by_step(self.lab.recorder.journal, record.id).values())
@@ -362,18 +390,6 @@ class Engine:
     def _state(self, campaign: str) -> CampaignState | None:
         record = records.campaign(self.lab.recorder.journal, campaign)
         return record.state if record is not None else None
-
-    def _named(self, campaign: str | None, *states: CampaignState) -> CampaignRecord:
-        """The campaign that a command is about."""
-        id = campaign if campaign is not None else (self.current.id if self.current is not None else None)
-        if id is None:
-            raise NotFound("no campaign is under way; submit one")
-        record = records.campaign(self.lab.recorder.journal, id)
-        if record is None:
-            raise NotFound(f"no campaign {id!r}")
-        if record.state not in states:
-            raise WrongState(f"campaign {id} is {record.state}, not {' or '.join(states)}")
-        return record
 
 
 def _outline(plan: Plan) -> dict[str, Any]:

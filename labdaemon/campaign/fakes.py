@@ -21,7 +21,7 @@ from labdaemon.capture.lines import InlineLine
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.table import Table
 from labdaemon.clock import SimulatedClock
-from labdaemon.errors import DataError
+from labdaemon.errors import DataError, StorageError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
@@ -43,6 +43,8 @@ class FakeMeasurer:
         Given to every row.
     results
         What the result files would hold, by folder.
+    refuses
+        Raised instead of writing result files.
     """
 
     measure_s: float = 5.0
@@ -50,6 +52,7 @@ class FakeMeasurer:
     flags: tuple[str, ...] = ()
     amplitude_mm: float = 1.0
     results: dict[Path, list[str]] = field(default_factory=dict)
+    refuses: StorageError | None = None
 
     async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
         await asyncio.sleep(self.measure_s)
@@ -65,11 +68,24 @@ class FakeMeasurer:
         ]
         return Measured(rows, [{"capture": name, "camera": path.stem} for path in frames])
 
-    async def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+    def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+        if self.refuses is not None:
+            raise self.refuses
         self.results[folder] = [str(result.envelope[0]["capture"]) for result in results]
 
-    async def append_results(self, folder: Path, result: Measured) -> None:
+    def append_results(self, folder: Path, result: Measured) -> bool:
+        if self.refuses is not None:
+            raise self.refuses
+        if folder not in self.results:
+            return False
         self.results[folder].append(str(result.envelope[0]["capture"]))
+        return True
+
+    def lacks(self, folder: Path, names: set[str], kept: str | None) -> bool:
+        return not names <= set(self.results.get(folder, []))
+
+    def stamp(self, folder: Path) -> str:
+        return ""
 
 
 class FakeLab:

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+from labdaemon.campaign.measuring import Measuring
+from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.steps import Plan
 from labdaemon.capture.places import campaign_folder
+from labdaemon.capture.recorder import Recorder
 from labdaemon.durable import write_durably
+from labdaemon.errors import StorageError
+from labdaemon.journal.records import CampaignRecord
+from labdaemon.journal.storage import JournalError
 
 
 def prepare_folder(data: Path, campaign: str, files: Mapping[str, str]) -> Path:
@@ -14,7 +22,7 @@ def prepare_folder(data: Path, campaign: str, files: Mapping[str, str]) -> Path:
 
     Raises
     ------
-    DataError
+    StorageError
         The disk is full or cannot be written.
     """
     folder = campaign_folder(data, campaign)
@@ -22,3 +30,56 @@ def prepare_folder(data: Path, campaign: str, files: Mapping[str, str]) -> Path:
         if not (folder / name).exists():
             write_durably(folder / name, text)
     return folder
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignFiles:
+    """Keeps a campaign's folder and result files from its start to its end, off the event loop.
+
+    Attributes
+    ----------
+    files
+        Name and text of what each folder starts with: ``rig.toml`` and the surveys.
+    """
+
+    recorder: Recorder
+    data: Path
+    measuring: Measuring
+    reporter: Reporter
+    files: Mapping[str, str]
+
+    async def open(self, record: CampaignRecord, plan: Plan) -> None:
+        """Make the folder, and its result files as the journal has them; waits while the disk takes nothing.
+
+        Raises
+        ------
+        StorageError
+            The folder cannot be made: a reason to fail this campaign, and no other.
+        """
+        files = {**self.files, "campaign.toml": record.toml}
+        sizes = {step.label: len(step.shots) for step in plan.steps if step.grouped}
+
+        async def work() -> None:
+            await self.recorder.on_disk(prepare_folder, self.data, record.id, files)
+            await self.measuring.resume(record.id, sizes)
+
+        await self.reporter.patiently(work)
+
+    async def renew(self, record: CampaignRecord) -> None:
+        """Write the result files of a campaign that was paused anew: another program may have written to them."""
+        try:
+            await self.measuring.rewrite(record.id)
+        except JournalError:
+            raise
+        except StorageError:
+            return  # they are written when it ends in any case, and that failure is reported
+
+    async def close(self, record: CampaignRecord) -> StorageError | None:
+        """Write the result files as the journal has them, synced; the reason where the folder refuses them."""
+        try:
+            await self.reporter.patiently(lambda: self.measuring.close(record.id))
+        except JournalError:
+            raise
+        except StorageError as exc:
+            return exc
+        return None

@@ -1,7 +1,7 @@
 """Watches the rig while a campaign runs, and trips the interlocks.
 
-Four loops: the heartbeat that holds the amplifier's enable line, the gauges while the table moves, disk and measuring
-queue, and the cameras every half minute. The checks themselves are in `labdaemon.campaign.interlocks`.
+Five loops: the heartbeat that holds the amplifier's enable line, the gauges while the table moves, the data disk, the
+measuring queue, and the cameras every half minute. The checks themselves are in `labdaemon.campaign.interlocks`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
 from labdaemon.campaign import interlocks
+from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.interlocks import Limits, Sighting
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.devices import Gauge
 from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.capture.table import displacement_mm
-from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError, StorageFull
+from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError, StorageUnavailable
 
 WATCH_CYCLES = 2.0
 MISSES = 3
@@ -41,10 +42,10 @@ class Guard:
     ----------
     trip
         Called with what happened; it stops the table. Calling it again while it is stopped does no harm. A crossed
-        limit is an `InterlockError`, which waits for a person; a lost device's own `DeviceError` and a `StorageFull`
-        may pass.
-    free_bytes
-        Room on the data disk.
+        limit is an `InterlockError`, which waits for a person; a lost device's own `DeviceError` and a
+        `StorageUnavailable` may pass.
+    disk
+        The data disk.
     oldest_s
         How long the oldest capture has waited to be measured.
     quiet
@@ -56,7 +57,7 @@ class Guard:
     lab: Lab
     limits: Limits
     trip: Callable[[LabdaemonError], None]
-    free_bytes: Callable[[], int]
+    disk: DataDisk
     oldest_s: Callable[[], float]
     quiet: Callable[[], Awaitable[object]]
     pace: Pace = field(default_factory=Pace)
@@ -69,7 +70,8 @@ class Guard:
         async with asyncio.TaskGroup() as loops:
             loops.create_task(self._heartbeat())
             loops.create_task(self._gauges())
-            loops.create_task(self._room_and_workers())
+            loops.create_task(self._disk())
+            loops.create_task(self._workers())
             loops.create_task(self._cameras())
 
     async def _heartbeat(self) -> None:
@@ -122,13 +124,20 @@ class Guard:
         if reason is not None:
             self.trip(InterlockError(reason))
 
-    async def _room_and_workers(self) -> None:
+    async def _disk(self) -> None:
+        """A table that moves while nothing can be recorded is brought to rest."""
         while True:
             if self.lab.table.excitation is not None:
-                full = interlocks.disk_reason(self.limits, self.free_bytes())
+                try:
+                    await self.disk.check()
+                except StorageUnavailable as exc:
+                    self.trip(exc)
+            await self.lab.clock.sleep(self.pace.room_s)
+
+    async def _workers(self) -> None:
+        while True:
+            if self.lab.table.excitation is not None:
                 stalled = interlocks.stall_reason(self.limits, self.oldest_s())
-                if full is not None:
-                    self.trip(StorageFull(full))
                 if stalled is not None:
                     self.trip(InterlockError(stalled))
             await self.lab.clock.sleep(self.pace.room_s)

@@ -89,13 +89,6 @@ def camera_reason(limits: Limits, camera: str, status: CameraStatus) -> str | No
     return None
 
 
-def disk_reason(limits: Limits, free_bytes: int) -> str | None:
-    """The disk is nearly full."""
-    if free_bytes >= limits.min_disk_bytes:
-        return None
-    return f"{free_bytes / 1e6:.0f} MB free on the data disk, less than {limits.min_disk_bytes / 1e6:.0f} MB"
-
-
 def envelope_reason(limits: Limits, rows: Iterable[Mapping[str, Any]]) -> str | None:
     """The measured envelope is too large, or smears reach the edges of their papers.
 

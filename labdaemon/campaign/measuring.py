@@ -7,7 +7,8 @@ is dropped, so a crash at any point leaves in the journal exactly the captures t
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import logging
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,11 +16,14 @@ from typing import Any, Protocol
 from labdaemon.capture.places import campaign_folder
 from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
-from labdaemon.errors import LabdaemonError, StorageFull
+from labdaemon.errors import LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CaptureRecord
 
 Rows = list[dict[str, Any]]
+Patience = Callable[[Callable[[], Awaitable[object]]], Awaitable[object]]
+
+log = logging.getLogger(__name__)
 
 TRIES = 2
 DISK_POLL_S = 5.0
@@ -46,12 +50,23 @@ class Measurer(Protocol):
         """
         ...
 
-    async def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
-        """Write the folder's result files anew from everything measured so far, which may be more than fits memory."""
+    def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+        """Write the folder's result files anew from everything measured so far, which may be more than fits memory.
+
+        This and the following block, and are called off the event loop.
+        """
         ...
 
-    async def append_results(self, folder: Path, result: Measured) -> None:
-        """Add to the folder's result files."""
+    def append_results(self, folder: Path, result: Measured) -> bool:
+        """Add to the folder's result files, synced; False where they must be written anew."""
+        ...
+
+    def lacks(self, folder: Path, names: set[str], kept: str | None) -> bool:
+        """Whether the result files have another stamp than the one kept, and lack one of these results."""
+        ...
+
+    def stamp(self, folder: Path) -> str:
+        """What the result files' state is known by later."""
         ...
 
 
@@ -86,6 +101,8 @@ class Measuring:
         self._group_sizes: dict[str, Mapping[str, int]] = {}
         self._writing = asyncio.Lock()
         self._broken: BaseException | None = None
+        self.patiently: Patience = self._until_taken
+        """Does work that the disk may refuse for a while; the engine's own reports it."""
         self.finished = 0
         """Results and failures so far: what a watchdog looks at."""
 
@@ -124,9 +141,44 @@ class Measuring:
         `group_sizes` tells how many captures each group has.
         """
         self._group_sizes[campaign] = group_sizes
-        kept = records.results(self._recorder.journal, campaign)
-        done = (Measured(result.envelope, result.measurements) for result in kept)
-        await self._measurer.write_results(campaign_folder(self._data, campaign), done)
+        await self.rewrite(campaign)
+
+    async def rewrite(self, campaign: str) -> None:
+        """Write a campaign's result files anew from the journal.
+
+        Raises
+        ------
+        StorageError
+            The folder refuses them; the journal has the rows.
+        """
+        async with self._writing:
+            await self._rewrite(campaign)
+
+    async def close(self, campaign: str) -> None:
+        """A campaign has ended: its files are written anew once more, whatever has become of them, and stamped.
+
+        Raises
+        ------
+        StorageError
+            The folder refuses them; the journal has the rows.
+        """
+        await self.rewrite(campaign)
+        stamp = await self._recorder.on_disk(self._measurer.stamp, campaign_folder(self._data, campaign))
+        await self._recorder.write(transitions.keep_stamp, campaign, stamp)
+
+    async def mend(self) -> None:
+        """Write the files of ended campaigns anew that lack a result: a power cut or another program took it."""
+        journal = self._recorder.journal
+        for record in records.campaigns(journal, "completed", "aborted", "failed"):
+            names, folder = records.result_names(journal, record.id), campaign_folder(self._data, record.id)
+            kept = records.stamp_of(journal, record.id)
+            try:
+                lacks = await self._recorder.on_disk(self._measurer.lacks, folder, names, kept)
+                if names and lacks:
+                    log.warning("results of %s on disk lack rows: written anew from the journal", record.id)
+                    await self.close(record.id)
+            except StorageError as exc:
+                log.warning("results of %s cannot be mended: %s", record.id, exc)
 
     async def catch_up(self, campaign: str) -> None:
         """Measure whatever is stored and not in hand: a crash or a wish may have come between."""
@@ -189,7 +241,7 @@ class Measuring:
             "exposure_s": last.exposure_s,
             "targets": measured.envelope,
         }
-        await self._when_there_is_room(
+        await self.patiently(
             lambda: self._recorder.write(
                 transitions.record_result,
                 campaign,
@@ -200,23 +252,34 @@ class Measuring:
                 event=event,
             )
         )
-        async with self._writing:
-            await self._when_there_is_room(lambda: self._measurer.append_results(folder, measured))
+        await self._append(campaign, folder, measured)
         self.finished += 1
         self.published(campaign, name, measured.envelope)
 
     async def _give_up(self, campaign: str, name: str, names: list[str], exc: LabdaemonError) -> None:
         told = {"device": "worker", "capture": name, "error": type(exc).__name__, "message": str(exc), "action": "kept"}
-        await self._when_there_is_room(
-            lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, told)
-        )
+        await self.patiently(lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, told))
         self.finished += 1
 
-    async def _when_there_is_room(self, write: Callable[[], Any]) -> None:
+    async def _append(self, campaign: str, folder: Path, measured: Measured) -> None:
+        """Add a result to the files; a folder that refuses it does not keep it from being published."""
+        try:
+            async with self._writing:
+                if not await self._recorder.on_disk(self._measurer.append_results, folder, measured):
+                    await self._rewrite(campaign)
+        except StorageError as exc:
+            # The files are written anew when the campaign ends, and it does not end as completed without them.
+            log.warning("rows of %s are in the journal only: %s", campaign, exc)
+
+    async def _rewrite(self, campaign: str) -> None:
+        kept = records.results(self._recorder.journal, campaign)
+        done = (Measured(result.envelope, result.measurements) for result in kept)
+        folder = campaign_folder(self._data, campaign)
+        await self._recorder.on_disk(self._measurer.write_results, folder, done)
+
+    async def _until_taken(self, work: Callable[[], Awaitable[object]]) -> object:
         while True:
             try:
-                await write()
-            except StorageFull:
+                return await work()
+            except StorageUnavailable:
                 await self._clock.sleep(DISK_POLL_S)
-            else:
-                return

@@ -1,4 +1,4 @@
-"""Writes what happens to campaigns into the journal, however long the disk has no room for it."""
+"""Writes what happens to campaigns into the journal, however long the disk does not take it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any, TypeVar
 
+from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.steps import Step
 from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
-from labdaemon.errors import StorageFull
+from labdaemon.errors import StorageError, StorageUnavailable
 from labdaemon.journal import transitions
 from labdaemon.journal.records import CampaignState
 
@@ -18,7 +19,7 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-DISK_POLL_S = 5.0
+DISK_POLL_S = 2.0
 
 
 class Reporter:
@@ -28,50 +29,86 @@ class Reporter:
     ----------
     recorder
         The journal.
-    free_bytes
-        Room on the data disk.
-    min_free_bytes
-        Room that there must be before work goes on.
+    disk
+        The disk that the journal lies on.
+
+    Attributes
+    ----------
+    faults, last_fault
+        How many there were since the start, and what the last one was.
+    disk_trouble
+        Why the disk takes nothing now; None while it does.
     """
 
-    def __init__(self, recorder: Recorder, clock: Clock, free_bytes: Callable[[], int], min_free_bytes: int) -> None:
-        self._recorder, self._clock = recorder, clock
-        self._free_bytes, self._min_free_bytes = free_bytes, min_free_bytes
+    def __init__(self, recorder: Recorder, clock: Clock, disk: DataDisk) -> None:
+        self._recorder, self._clock, self._disk = recorder, clock, disk
         self.faults = 0
         self.last_fault: str | None = None
+        self.disk_trouble: str | None = None
 
     async def fault(self, exc: BaseException, *, campaign: str | None, step: Step | None, action: str) -> None:
-        """Tell of a fault and of what is done about it."""
+        """Report a fault and what is done about it."""
         self.faults += 1
         self.last_fault = str(exc)
         log.warning("fault: %s (%s)", exc, action)
-        told = {
+        payload = {
             "device": getattr(exc, "device", None),
             "error": type(exc).__name__,
             "message": str(exc),
             "step": step.index if step is not None else None,
             "action": action,
         }
-        with suppress(StorageFull):  # the disk has no room for the news either; the log has them
-            await self._recorder.write(transitions.fault, campaign, told)
+        with suppress(StorageUnavailable):  # the disk does not take the report either; the log has it
+            await self._recorder.write(transitions.fault, campaign, payload)
 
     async def move(self, campaign: str, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
         """Put a campaign into another state; False if it was in none that leads there."""
-        return await self.when_there_is_room(
+        return await self.patiently(
             lambda: self._recorder.write(transitions.move_campaign, campaign, state, reason, **data)
         )
 
-    async def when_there_is_room(self, work: Callable[[], Awaitable[T]]) -> T:
-        """Do it, and do it again after every `StorageFull`, once there is room."""
+    async def patiently(self, work: Callable[[], Awaitable[T]]) -> T:
+        """Do it, and do it again after every `StorageUnavailable`, once the disk takes writes."""
         while True:
             try:
                 return await work()
-            except StorageFull as exc:
-                await self.fault(exc, campaign=None, step=None, action="wait for room")
-                await self.wait_for_room()
+            except StorageUnavailable as exc:
+                await self.wait_for_disk(exc)
 
-    async def wait_for_room(self) -> None:
-        """Wait until the disk has room again, and a little longer."""
-        while self._free_bytes() < self._min_free_bytes:
+    async def wait_for_disk(self, exc: StorageUnavailable, campaign: str | None = None) -> None:
+        """Wait until the disk takes writes again; one fault is reported for each such time, at its end."""
+        if self.disk_trouble is not None:  # another task has reported it
+            await self._until_it_writes()
+            return
+        began_s = self._clock.monotonic()
+        self.faults += 1
+        self.last_fault = self.disk_trouble = str(exc)
+        log.error("waiting for the disk: %s", exc)
+        try:
+            while True:
+                await self._until_it_writes()
+                waited_s = self._clock.monotonic() - began_s
+                payload = {
+                    "device": "disk",
+                    "error": type(exc).__name__,
+                    "message": f"{exc}; it took nothing for {waited_s:.0f} s",
+                    "step": None,
+                    "action": "waited",
+                }
+                with suppress(StorageUnavailable):  # it was for a moment only: wait again
+                    await self._recorder.write(transitions.fault, campaign, payload)
+                    break
+        finally:
+            self.disk_trouble = None
+        log.warning("the disk takes writes again after %.0f s", waited_s)
+
+    async def _until_it_writes(self) -> None:
+        while True:
             await self._clock.sleep(DISK_POLL_S)
-        await self._clock.sleep(DISK_POLL_S)
+            try:
+                await self._disk.check_thoroughly()
+            except StorageError as exc:
+                if self.disk_trouble is not None:
+                    self.disk_trouble = str(exc)
+            else:
+                return

@@ -1,4 +1,4 @@
-"""The journal on a line of its own, so that its fsync never holds up an interlock."""
+"""The journal and the data disk on lines of their own, so that no fsync holds up an interlock."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from labdaemon.journal.journal import Journal
 P = ParamSpec("P")
 T = TypeVar("T")
 
-WRITE_S = 60.0
-"""A commit that takes longer than this means a dying disk."""
+UNLIMITED_S = 1e9
+"""A write that was given up might still reach the disk, and its repetition would be a second one: so each is waited
+for, however long the disk takes. The guard sees that the table does not move meanwhile."""
 
 
 class Recorder:
-    """Writes transitions and tells when there is something to publish.
+    """Writes transitions and files, and reports when there is something to publish.
 
     Parameters
     ----------
@@ -26,19 +27,49 @@ class Recorder:
         The journal's own thread.
     committed
         Called on the event loop after each commit.
+    files
+        The thread for files; the journal's where there is no other.
     """
 
-    def __init__(self, journal: Journal, line: Line, committed: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        journal: Journal,
+        line: Line,
+        committed: Callable[[], None] = lambda: None,
+        files: Line | None = None,
+    ) -> None:
         self.journal = journal
         self.committed = committed
-        self._line = line
+        self._line, self._files = line, files or line
 
     async def write(self, transition: Callable[Concatenate[Journal, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Carry out one of `labdaemon.journal.transitions`; it is on the disk when this returns."""
-        result = await self._line.call(lambda: transition(self.journal, *args, **kwargs), WRITE_S)
+        """Carry out one of `labdaemon.journal.transitions`; it is on the disk when this returns.
+
+        Raises
+        ------
+        StorageUnavailable
+            The disk does not take it now; nothing was written.
+        """
+        result = await self._line.call(lambda: transition(self.journal, *args, **kwargs), UNLIMITED_S)
         self.committed()
         return result
 
+    async def on_disk(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Do blocking work on files, after what was asked for before.
+
+        Raises
+        ------
+        StorageError
+            What the function raises.
+        """
+        return await self._files.call(lambda: function(*args, **kwargs), UNLIMITED_S)
+
+    async def settled(self) -> None:
+        """Wait until writes that were asked for before are done, also those that their callers no longer wait for."""
+        await self._line.call(lambda: None, UNLIMITED_S)
+        await self._files.call(lambda: None, UNLIMITED_S)
+
     def close(self) -> None:
-        """End the thread; the journal itself is its owner's."""
+        """End the threads; the journal itself is its owner's."""
         self._line.close()
+        self._files.close()

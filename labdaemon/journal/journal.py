@@ -23,7 +23,7 @@ from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 
 FILE_NAME = "journal.db"
 
-BUSY_S = 2.0
+BUSY_S = 4.0
 """How long a write waits for another process' lock before it is refused; the writer's own thread waits."""
 
 READ_BUSY_S = 0.1

@@ -216,6 +216,17 @@ def results(journal: Journal, campaign: str) -> Iterator[ResultRecord]:
         number = rows[-1][4]
 
 
+def result_names(journal: Journal, campaign: str) -> set[str]:
+    """Captures and groups of a campaign that have a result."""
+    return {row[0] for row in journal.read("SELECT name FROM results WHERE campaign = ?", campaign)}
+
+
+def stamp_of(journal: Journal, campaign: str) -> str | None:
+    """What a campaign's result files were like when it ended, see `labdaemon.journal.transitions.keep_stamp`."""
+    rows = journal.read("SELECT value FROM meta WHERE key = ?", f"results:{campaign}")
+    return str(rows[0][0]) if rows else None
+
+
 def count_campaigns(journal: Journal, state: CampaignState) -> int:
     """How many campaigns are in this state."""
     return int(journal.read("SELECT count(*) FROM campaigns WHERE state = ?", state)[0][0])

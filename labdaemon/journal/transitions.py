@@ -268,6 +268,12 @@ def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> No
         write.emit("fault", campaign, dict(data))
 
 
+def keep_stamp(journal: Journal, campaign: str, stamp: str) -> None:
+    """Note what a campaign's result files were like when it ended, so that a later loss shows."""
+    with journal.transaction("results.stamped") as write:
+        write.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", f"results:{campaign}", stamp)
+
+
 def probe(journal: Journal) -> None:
     """Show that the journal can still be written, and nothing else."""
     with journal.transaction("probe") as write:

@@ -6,11 +6,9 @@ import asyncio
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from labdaemon.campaign.measuring import Measured, Rows
-from labdaemon.journal.frames import part_of, seal
-from labdaemon.journal.storage import as_data_error
+from labdaemon.campaign.measuring import Measured
 from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
-from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, csv_text
+from labdaemon.service.result_files import ResultFiles, captures_in, stamp
 
 SHARP_SETS_KEPT = 4
 """Prepared sharp sets in memory: the one in use, the one before it while its last captures are measured, and the first
@@ -28,6 +26,7 @@ class PoolMeasurer:
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
+        self._files = ResultFiles()
         self._prepared: dict[tuple[Path, str | None], asyncio.Task[SharpSet]] = {}
 
     async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
@@ -42,13 +41,22 @@ class PoolMeasurer:
         result = await asyncio.wrap_future(self._pool.submit(measure_capture, folder, sharp_set, tuple(captures), name))
         return Measured(list(result.envelope_rows), list(result.measurement_rows))
 
-    async def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+    def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
         """Write both result files anew, durably."""
-        await asyncio.to_thread(_write, folder, results)
+        self._files.write(folder, results)
 
-    async def append_results(self, folder: Path, result: Measured) -> None:
-        """Add one result's rows to both files."""
-        await asyncio.to_thread(_append, folder, result)
+    def append_results(self, folder: Path, result: Measured) -> bool:
+        """Add one result's rows to both files; False where another program has changed them."""
+        return self._files.append(folder, result)
+
+    def lacks(self, folder: Path, names: set[str], kept: str | None) -> bool:
+        """Whether the files have changed and lack a result that they once had."""
+        # A folder that a person has removed stays removed.
+        return folder.is_dir() and stamp(folder) != kept and not names <= captures_in(folder)
+
+    def stamp(self, folder: Path) -> str:
+        """The files' state, for `lacks`."""
+        return stamp(folder)
 
     async def _sharp_set(self, folder: Path, sharp: str | None) -> SharpSet:
         key = (folder, sharp)
@@ -72,39 +80,3 @@ def _first_set(folder: Path) -> str | None:
     if not root.is_dir() or any(path.is_file() for path in root.iterdir()):
         return None
     return min((path.name for path in root.iterdir()), default=None)
-
-
-FILES = (("envelope.csv", ENVELOPE_COLUMNS), ("measurements.csv", MEASUREMENT_COLUMNS))
-
-
-def _write(folder: Path, results: Iterable[Measured]) -> None:
-    paths = [folder / "results" / name for name, _ in FILES]
-    try:
-        with (
-            part_of(paths[0]).open("w", encoding="utf-8") as first,
-            part_of(paths[1]).open("w", encoding="utf-8") as other,
-        ):
-            for file, (_, columns) in zip((first, other), FILES, strict=True):
-                file.write(csv_text(columns, []))
-            for result in results:
-                first.write(_lines(ENVELOPE_COLUMNS, result.envelope))
-                other.write(_lines(MEASUREMENT_COLUMNS, result.measurements))
-    except OSError as exc:
-        raise as_data_error(exc, folder) from exc
-    for path in paths:
-        seal(path)
-
-
-def _append(folder: Path, result: Measured) -> None:
-    """Lines at a file's end; a crash halfway is mended from the journal at the next start."""
-    for (name, columns), rows in zip(FILES, (result.envelope, result.measurements), strict=True):
-        path = folder / "results" / name
-        try:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(_lines(columns, rows))
-        except OSError as exc:
-            raise as_data_error(exc, path) from exc
-
-
-def _lines(columns: Sequence[str], rows: Rows) -> str:
-    return csv_text(columns, rows).partition("\n")[2]

@@ -21,8 +21,7 @@ from labdaemon.campaign.steps import Plan
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.lines import DeviceLine
 from labdaemon.capture.recorder import Recorder
-from labdaemon.errors import InterlockError
-from labdaemon.journal.transitions import probe
+from labdaemon.errors import InterlockError, StorageUnavailable
 from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import Held
@@ -62,7 +61,7 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         return status_of(engine, place)
 
     publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
-    recorder = Recorder(held.journal, DeviceLine("journal"), publisher.wake)
+    recorder = Recorder(held.journal, DeviceLine("journal"), publisher.wake, DeviceLine("data disk"))
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()
@@ -86,7 +85,7 @@ async def _run_parts(
         asyncio.create_task(supervise("events", publisher.run, held.clock)),
         asyncio.create_task(supervise("commands", held.commands.run, held.clock)),
         asyncio.create_task(engine.run()),
-        asyncio.create_task(feed(held.clock, _checks(engine, recorder), _stalled)),
+        asyncio.create_task(feed(held.clock, _checks(engine), _stalled)),
     ]
     held.ready(held.commands.address, publisher.address)
     notify(f"READY=1\nSTATUS=serving on {held.commands.address}")
@@ -169,12 +168,16 @@ def _describe(held: Held, identities: dict[str, str], events: str) -> dict[str, 
     }
 
 
-def _checks(engine: Engine, recorder: Recorder) -> Mapping[str, Callable[[], Awaitable[bool]]]:
+def _checks(engine: Engine) -> Mapping[str, Callable[[], Awaitable[bool]]]:
     """What must have moved since the watchdog was last fed. The event loop is what asks."""
     seen = {"beats": -1}
 
     async def journal() -> bool:
-        await recorder.write(probe)
+        # A disk that takes nothing is no reason to end: started again, the daemon would find the same disk.
+        try:
+            await engine.disk.check()
+        except StorageUnavailable as exc:
+            engine.trip(exc)
         return True
 
     async def guard() -> bool:

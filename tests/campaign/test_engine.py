@@ -217,7 +217,7 @@ def test_a_paused_campaign_can_be_aborted_and_a_queued_one_too(simulate):
 
 def test_commands_in_the_wrong_state_say_so(simulate):
     async def scenario(lab: FakeLab):
-        with pytest.raises(NotFound, match="no campaign is under way"):
+        with pytest.raises(NotFound, match="no campaign is in progress"):
             await lab.engine.pause()
         with pytest.raises(NotFound, match="no campaign 'x'"):
             await lab.engine.abort("x")

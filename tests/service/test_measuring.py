@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from labdaemon.bench.killed import QuickMeasurer
-from labdaemon.campaign.measuring import Measured
 from labdaemon.errors import DataError
-from labdaemon.processing import ENVELOPE_COLUMNS, WorkerPool, read_csv
+from labdaemon.processing import WorkerPool
 from labdaemon.service.measuring import PoolMeasurer
 
 
@@ -18,24 +17,6 @@ from labdaemon.service.measuring import PoolMeasurer
 def pool() -> Iterator[WorkerPool]:
     with WorkerPool(1, deadline_s=60.0) as pool:
         yield pool
-
-
-def result(name: str, x_mm: float) -> Measured:
-    row = dict.fromkeys(ENVELOPE_COLUMNS) | {"capture": name, "target": "T1", "x_mm": x_mm, "flags": ["at_rest"]}
-    return Measured([row], [])
-
-
-async def test_result_files_are_written_anew_and_added_to(tmp_path: Path, pool: WorkerPool):
-    measurer = PoolMeasurer(pool)
-    await measurer.write_results(tmp_path, (result(name, 1.5) for name in ("a", "b")))
-    await measurer.append_results(tmp_path, result("c", 2.5))
-    rows = read_csv(tmp_path / "results" / "envelope.csv")
-    assert [(row["capture"], row["x_mm"], row["flags"]) for row in rows] == [
-        ("a", 1.5, ["at_rest"]), ("b", 1.5, ["at_rest"]), ("c", 2.5, ["at_rest"]),
-    ]  # fmt: skip
-    await measurer.write_results(tmp_path, [])
-    assert read_csv(tmp_path / "results" / "envelope.csv") == []
-    assert {path.name for path in (tmp_path / "results").iterdir()} == {"envelope.csv", "measurements.csv"}
 
 
 async def test_a_folder_that_cannot_be_measured_says_so(tmp_path: Path, pool: WorkerPool):

@@ -1,0 +1,95 @@
+"""A campaign's result files as the daemon keeps them: rows added as they are measured, all rows written anew.
+
+The journal is what counts; these files are its copy for people and programs. Everything here blocks.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from labdaemon.campaign.measuring import Measured, Rows
+from labdaemon.durable import append_durably, storage_error, whole_file
+from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, csv_text
+
+FILES = (("envelope.csv", ENVELOPE_COLUMNS), ("measurements.csv", MEASUREMENT_COLUMNS))
+
+Stamp = tuple[int, int, int]
+"""Inode, size in bytes and time of change (ns) of a file: another's write changes one of them."""
+
+
+class ResultFiles:
+    """Writes the result files of campaigns' folders, and notices when another program has written to them."""
+
+    def __init__(self) -> None:
+        self._left: dict[Path, tuple[Stamp | None, ...]] = {}
+
+    def write(self, folder: Path, results: Iterable[Measured]) -> None:
+        """Write both files anew, each whole or not at all.
+
+        Raises
+        ------
+        StorageError
+            The disk refuses it.
+        """
+        envelope, measurements = (folder / "results" / name for name, _ in FILES)
+        with whole_file(envelope) as first, whole_file(measurements) as other:
+            for file, (_, columns) in zip((first, other), FILES, strict=True):
+                file.write(csv_text(columns, []).encode())
+            for result in results:
+                first.write(_lines(ENVELOPE_COLUMNS, result.envelope))
+                other.write(_lines(MEASUREMENT_COLUMNS, result.measurements))
+        self._left[folder] = _stamps(folder)
+
+    def append(self, folder: Path, result: Measured) -> bool:
+        """Add one result's rows, synced; False, and nothing done, where the files are not as this daemon left them.
+
+        Raises
+        ------
+        StorageError
+            The disk refuses it.
+        """
+        left = self._left.pop(folder, None)
+        if left is None or None in left or left != _stamps(folder):
+            return False
+        for (name, columns), rows in zip(FILES, (result.envelope, result.measurements), strict=True):
+            append_durably(folder / "results" / name, _lines(columns, rows))
+        self._left[folder] = _stamps(folder)
+        return True
+
+
+def stamp(folder: Path) -> str:
+    """The files' state in a word, to be kept: another word later means that they were changed."""
+    return repr(_stamps(folder))
+
+
+def captures_in(folder: Path) -> set[str]:
+    """Names of the captures and groups that have rows in a folder's ``envelope.csv``; none where it is not there."""
+    path = folder / "results" / FILES[0][0]
+    try:
+        # A power cut may leave zero bytes, which csv refuses, or half a character.
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
+            return {row["capture"] for row in csv.DictReader(line.replace("\0", "") for line in file)}
+    except (csv.Error, KeyError):
+        return set()
+    except FileNotFoundError:
+        return set()
+    except OSError as exc:
+        raise storage_error(exc, path) from exc
+
+
+def _stamps(folder: Path) -> tuple[Stamp | None, ...]:
+    return tuple(_stamp(folder / "results" / name) for name, _ in FILES)
+
+
+def _stamp(path: Path) -> Stamp | None:
+    try:
+        about = path.stat()
+    except OSError:
+        return None
+    return about.st_ino, about.st_size, about.st_mtime_ns
+
+
+def _lines(columns: Sequence[str], rows: Rows) -> bytes:
+    return csv_text(columns, rows).partition("\n")[2].encode()
