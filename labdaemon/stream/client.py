@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -79,7 +80,8 @@ class Client:
         self.timeout_s = timeout_s
         self._context = zmq.Context()
         self._socket: zmq.Socket[bytes] | None = None
-        self._calls = 0
+        # Not from 1: an answer to another client that had this one's place must not look like ours.
+        self._calls = secrets.randbits(48)
 
     def __enter__(self) -> Self:
         return self
@@ -155,6 +157,7 @@ class Client:
         socket = self._context.socket(zmq.SUB)
         socket.set(zmq.RCVHWM, HIGH_WATER)
         socket.set(zmq.SUBSCRIBE, b"")
+        socket.set(zmq.IPV6, "[" in self.events_address)
         socket.connect(self.events_address)
         return socket
 
@@ -162,6 +165,7 @@ class Client:
         if self._socket is None:
             self._socket = self._context.socket(zmq.DEALER)
             self._socket.set(zmq.LINGER, 0)
+            self._socket.set(zmq.IPV6, "[" in self.commands_address)
             self._socket.connect(self.commands_address)
         return self._socket
 

@@ -11,6 +11,7 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -20,6 +21,7 @@ import zmq.asyncio
 from labdaemon.errors import ConfigError, DeviceError, LabdaemonError
 from labdaemon.off_loop import off_loop
 from labdaemon.stream import messages
+from labdaemon.stream.gate import Gate
 from labdaemon.stream.messages import BadRequest, InvalidParams, Request
 from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
 from labdaemon.stream.text_limits import INLINE_BYTES, shown
@@ -67,6 +69,27 @@ class MemoryRequests:
         self._results.setdefault(request_id, result)
 
 
+@dataclass(frozen=True, slots=True)
+class Sender:
+    """Who asked.
+
+    Attributes
+    ----------
+    envelope
+        Frames that an answer begins with: the client's identity, and a REQ's delimiter.
+    connection
+        Which connection it came by: libzmq's descriptor.
+    """
+
+    envelope: tuple[bytes, ...]
+    connection: int
+
+    @property
+    def client(self) -> bytes:
+        """The client's identity."""
+        return self.envelope[0]
+
+
 class CommandServer:
     """The commands socket.
 
@@ -87,11 +110,13 @@ class CommandServer:
         self._in_progress: dict[str, asyncio.Future[Any]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._of_client: Counter[bytes] = Counter()
+        self._connections: dict[bytes, int] = {}
         self._large: set[asyncio.Task[None]] = set()
         self._unread = UnreadAnswers()
         self._turn = asyncio.Lock()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
+        self._gate: Gate | None = None
 
     def bind(self) -> None:
         """Take the address.
@@ -101,20 +126,21 @@ class CommandServer:
         ConfigError
             It is taken.
         """
-        self._socket = bind(
+        self._socket, self._gate = bind(
             self._context, zmq.ROUTER, self.address, key="service.commands", high_water=ANSWERS_HIGH_WATER
         )
-        self.address = self._socket.get_string(zmq.LAST_ENDPOINT)
+        self.address = self._gate.address
 
     async def run(self) -> None:
         """Answer until cancelled."""
-        if self._socket is None:
+        if self._gate is None:
             raise RuntimeError("bind comes before run")
+        self._gate.open()
         try:
             while True:
-                frames = await self._socket.recv_multipart(copy=False)
+                frames = await self._bound.recv_multipart(copy=False)
                 try:
-                    await self._receive(self._socket, [frame.bytes for frame in frames[:4]])
+                    await self._receive(frames)
                 except Exception:  # whatever a peer's frame led to: the next one is received all the same
                     log.exception("a frame could not be received")
                 # A socket that has more to read does not let the loop run; a flood must not keep it to itself.
@@ -128,85 +154,101 @@ class CommandServer:
         if self._socket is not None:
             self._socket.close()
         self._context.term()
+        if self._gate is not None:
+            self._gate.close()
 
-    async def _receive(self, socket: zmq.asyncio.Socket, frames: list[bytes]) -> None:
+    async def _receive(self, frames: list[zmq.Frame]) -> None:
         """Read one message and start on it. Its envelope (a REQ has an empty delimiter) is mirrored."""
-        envelope = frames[:2] if len(frames) > 2 and not frames[1] else frames[:1]
-        body = frames[len(envelope) :]
+        parts = [frame.bytes for frame in frames[:4]]
+        envelope = parts[:2] if len(parts) > 2 and not parts[1] else parts[:1]
+        body = parts[len(envelope) :]
+        sender = Sender(tuple(envelope), int(frames[-1].get(zmq.SRCFD)))
         if len(body) == 1 and len(body[0]) > INLINE_BYTES:
-            if self._is_full(envelope[0]):
-                await socket.send_multipart([*envelope, messages.error_bytes(messages.BUSY, TOO_MANY, None)])
+            if self._is_full(sender):
+                await self._reply(sender, messages.error_bytes(messages.BUSY, TOO_MANY, None))
             else:
-                self._start(envelope[0], self._parse_and_answer(socket, envelope, body[0]))
+                self._start(sender, self._parse_and_answer(sender, body[0]))
             return
         try:
             if len(body) != 1:
                 raise BadRequest(messages.INVALID_REQUEST, "a request is one frame")
             request = messages.parse_request(body[0])
         except BadRequest as exc:
-            await socket.send_multipart([*envelope, messages.error_bytes(exc.code, str(exc), exc.id)])
+            await self._reply(sender, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        if self._is_full(envelope[0], request.method in LARGE) and request.method not in ALWAYS:
-            await socket.send_multipart([*envelope, messages.error_bytes(messages.BUSY, TOO_MANY, request.id)])
+        if self._is_full(sender, request.method in LARGE) and request.method not in ALWAYS:
+            await self._reply(sender, messages.error_bytes(messages.BUSY, TOO_MANY, request.id))
             return
-        self._start(envelope[0], self._answer(socket, envelope, request), is_large=request.method in LARGE)
+        self._start(sender, self._answer(sender, request), is_large=request.method in LARGE)
 
-    def _is_full(self, client: bytes, is_large: bool = False) -> bool:
-        """Whether a command has no place. Those with large answers may wait long, and take nobody else's."""
+    def _is_full(self, sender: Sender, is_large: bool = False) -> bool:
+        """Whether a command has no place. Those with large answers may wait long, and take no other's."""
         queued = len(self._large) if is_large else len(self._tasks) - len(self._large)
-        return queued >= MAX_IN_PROGRESS or self._of_client[client] >= MAX_OF_ONE
+        return queued >= MAX_IN_PROGRESS or self._of_client[sender.client] >= MAX_OF_ONE
 
-    def _start(self, client: bytes, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
+    def _start(self, sender: Sender, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         if is_large:
             self._large.add(task)
-        self._of_client[client] += 1
-        task.add_done_callback(partial(self._forget, client))
+        self._of_client[sender.client] += 1
+        self._connections[sender.client] = sender.connection
+        task.add_done_callback(partial(self._forget, sender.client))
 
     def _forget(self, client: bytes, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         self._large.discard(task)
         self._of_client[client] -= 1
         if not self._of_client[client]:
-            del self._of_client[client]
+            del self._of_client[client], self._connections[client]
         if not task.cancelled() and task.exception() is not None:
             log.error("an answer could not be sent", exc_info=task.exception())
 
-    async def _parse_and_answer(self, socket: zmq.asyncio.Socket, envelope: list[bytes], body: bytes) -> None:
+    async def _parse_and_answer(self, sender: Sender, body: bytes) -> None:
         """A long request, a campaign most likely: parsed off the event loop."""
         try:
             request = await off_loop(messages.parse_request, body)
         except BadRequest as exc:
-            await socket.send_multipart([*envelope, messages.error_bytes(exc.code, str(exc), exc.id)])
+            await self._reply(sender, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        await self._answer(socket, envelope, request)
+        await self._answer(sender, request)
 
-    async def _answer(self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request) -> None:
+    async def _answer(self, sender: Sender, request: Request) -> None:
         if request.method not in LARGE:
-            await self._send(socket, envelope, request, await self._outcome(request))
+            await self._reply_to(sender, request, await self._outcome(request))
             return
-        client = envelope[0]
         while True:
-            if not await self._unread.wait_for_room(client):
+            if not await self._unread.wait_for_room(sender.client):
                 busy = messages.error_bytes(messages.BUSY, "read the earlier answers first; try again", request.id)
-                await self._send(socket, envelope, request, busy)
+                await self._reply_to(sender, request, busy)
                 return
             async with self._turn:
-                if self._unread.has_room(client):  # another answer of this client may have taken it meanwhile
-                    await self._send(socket, envelope, request, await self._outcome(request))
+                if self._unread.has_room(sender.client):  # another answer of this client may have taken it meanwhile
+                    await self._reply_to(sender, request, await self._outcome(request))
                     return
 
-    async def _send(self, socket: zmq.asyncio.Socket, envelope: list[bytes], request: Request, answer: bytes) -> None:
-        if request.is_notification:
+    async def _reply_to(self, sender: Sender, request: Request, answer: bytes) -> None:
+        if not request.is_notification:
+            await self._reply(sender, answer)
+
+    async def _reply(self, sender: Sender, answer: bytes) -> None:
+        """Send an answer to who asked, unless another client has taken its identity meanwhile."""
+        if self._connections.get(sender.client, sender.connection) != sender.connection:
             return
         if len(answer) < LARGE_BYTES:
-            await socket.send_multipart([*envelope, answer])
+            await self._bound.send_multipart([*sender.envelope, answer])
             return
         # Not copied, and tracked: libzmq holds it until the peer has read, and what one may make it hold is bounded.
-        tracker = await socket.send_multipart([*envelope, zmq.Frame(answer, track=True)], copy=False, track=True)
+        parts = [*sender.envelope, zmq.Frame(answer, track=True)]
+        tracker = await self._bound.send_multipart(parts, copy=False, track=True)
         if tracker is not None:
-            self._unread.add(envelope[0], len(answer), tracker)
+            self._unread.add(sender.client, len(answer), tracker)
+
+    @property
+    def _bound(self) -> zmq.asyncio.Socket:
+        if self._socket is None:
+            raise RuntimeError("bind comes before run")
+        return self._socket
 
     async def _outcome(self, request: Request) -> bytes:
         """The answer, whatever happens: no kind of exception may leave a client without one."""

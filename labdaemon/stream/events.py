@@ -16,13 +16,15 @@ import zmq.asyncio
 
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.journal.event import EventText
+from labdaemon.stream.gate import Gate
 from labdaemon.stream.messages import InvalidParams, RawJson
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
 from labdaemon.stream.text_limits import shown
 
 STATUS_PERIOD_S = 1.0
 GREETING_PAUSE_S = 0.02
-"""Between two answers to new subscriptions, so that a flood of them costs little."""
+GREETED_AT_A_TIME = 1000
+"""Between two answers to new subscriptions, and how many one answer is for: a flood of them costs little."""
 BATCH = 32
 BATCH_BYTES = 1 << 20
 """Events, and bytes of them, read from the outbox at a time: a millisecond or two of the event loop."""
@@ -73,6 +75,7 @@ class EventPublisher:
         self._outbox, self._status, self._clock = outbox, status, clock
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
+        self._gate: Gate | None = None
         self._news = asyncio.Event()
         self._sent = outbox.last_seq
 
@@ -84,9 +87,11 @@ class EventPublisher:
         ConfigError
             It is taken.
         """
-        self._socket = bind(self._context, zmq.XPUB, self.address, key="service.events", high_water=EVENTS_HIGH_WATER)
+        self._socket, self._gate = bind(
+            self._context, zmq.XPUB, self.address, key="service.events", high_water=EVENTS_HIGH_WATER
+        )
         self._socket.set(zmq.XPUB_VERBOSE, 1)
-        self.address = self._socket.get_string(zmq.LAST_ENDPOINT)
+        self.address = self._gate.address
 
     def wake(self) -> None:
         """Something was committed: send it now. Cheap; call it on the loop's thread."""
@@ -94,6 +99,8 @@ class EventPublisher:
 
     async def run(self) -> None:
         """Publish until cancelled."""
+        if self._gate is not None:
+            self._gate.open()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._greet())
             tasks.create_task(self._publish())
@@ -140,7 +147,12 @@ class EventPublisher:
         """Answer each new subscription with a status, so that a client knows at once where the history stands."""
         while True:
             message = await self._bound.recv_multipart()
-            if message[0][:1] == b"\x01":
+            is_new = message[0][:1] == b"\x01"
+            for _ in range(GREETED_AT_A_TIME):
+                if not await self._bound.poll(0):
+                    break
+                is_new |= (await self._bound.recv_multipart())[0][:1] == b"\x01"
+            if is_new:
                 await self._send_status()
                 await asyncio.sleep(GREETING_PAUSE_S)
 
@@ -155,6 +167,8 @@ class EventPublisher:
         if self._socket is not None:
             self._socket.close()
         self._context.term()
+        if self._gate is not None:
+            self._gate.close()
 
 
 def replay(outbox: Outbox, params: dict[str, Any]) -> RawJson:

@@ -1,0 +1,241 @@
+"""One peer's connection: its TCP socket on one side, libzmq on the other, and bounded bytes in between."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Callable
+
+from labdaemon.stream.zmtp import PeerInspector, PeerLimits, PeerRefusal
+
+BLOCK_BYTES = 128 << 10
+"""Bytes moved at a time: a fraction of a millisecond of the event loop."""
+MOST_LAST_BLOCKS = 64
+NOT_NOW = (BlockingIOError, InterruptedError)
+"""What a socket says that has nothing to read, or no room."""
+
+
+class Pipe:
+    """Moves bytes from one socket to another, and reads no more than the other side takes.
+
+    Parameters
+    ----------
+    source, target
+        Non-blocking sockets.
+    inspect
+        Looks at the bytes first.
+    on_end
+        Called once with why there is nothing more to move: the source has ended, or one of them failed.
+    """
+
+    def __init__(
+        self,
+        source: socket.socket,
+        target: socket.socket,
+        inspect: Callable[[bytes], None],
+        on_end: Callable[[str], None],
+    ) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._source, self._target = source, target
+        self._inspect, self._on_end = inspect, on_end
+        self._pending = memoryview(b"")
+        self._is_reading = self._is_held = self._has_ended = False
+
+    def start(self) -> None:
+        """Read whenever there is something to read."""
+        self._is_held = False
+        self._read_on()
+
+    def hold(self) -> None:
+        """Read no more until `start`."""
+        self._is_held = True
+        self._pause()
+
+    def close(self) -> None:
+        """Move nothing more. The sockets are their owner's."""
+        self._has_ended = True
+        self._pause()
+        self._loop.remove_writer(self._target)
+
+    def finish(self) -> None:
+        """Move what is there without waiting for anything."""
+        for _ in range(MOST_LAST_BLOCKS):
+            if self._pending:
+                self._write()
+            else:
+                self._read()
+            if self._pending or self._has_ended:
+                return
+
+    def put(self, data: bytes) -> None:
+        """Send these bytes, now or as soon as the target takes them."""
+        try:
+            sent = self._target.send(data)
+        except NOT_NOW:
+            sent = 0
+        except OSError as exc:
+            self._end(str(exc.strerror))
+            return
+        if sent < len(data):
+            self._pending = memoryview(data)[sent:]
+            self._pause()
+            self._loop.add_writer(self._target, self._write)
+
+    def _read(self) -> None:
+        try:
+            data = self._source.recv(BLOCK_BYTES)
+        except NOT_NOW:
+            return
+        except OSError as exc:
+            self._end(str(exc.strerror))
+            return
+        if not data:
+            self._end("")
+            return
+        try:
+            self._inspect(data)
+        except PeerRefusal as exc:
+            self._end(str(exc))
+            return
+        if not self._has_ended:
+            self.put(data)
+
+    def _write(self) -> None:
+        try:
+            self._pending = self._pending[self._target.send(self._pending) :]
+        except NOT_NOW:
+            return
+        except OSError as exc:
+            self._end(str(exc.strerror))
+            return
+        if not self._pending:
+            self._loop.remove_writer(self._target)
+            self._read_on()
+
+    def _read_on(self) -> None:
+        if not (self._is_reading or self._is_held or self._has_ended or self._pending):
+            self._is_reading = True
+            self._loop.add_reader(self._source, self._read)
+
+    def _pause(self) -> None:
+        if self._is_reading:
+            self._is_reading = False
+            self._loop.remove_reader(self._source)
+
+    def _end(self, why: str) -> None:
+        if not self._has_ended:
+            self.close()
+            self._on_end(why)
+
+
+class Connection:
+    """A peer, from its first byte to its last.
+
+    Parameters
+    ----------
+    peer
+        Its accepted socket.
+    limits
+        What it may send.
+    connect
+        Makes a connection to libzmq; raises `OSError` when it cannot.
+    on_close
+        Called once with this connection and the reason, empty where the peer has simply left.
+
+    Attributes
+    ----------
+    accepted_s, active_s
+        When it came, and when bytes last moved, on the monotonic clock.
+    """
+
+    def __init__(
+        self,
+        peer: socket.socket,
+        limits: PeerLimits,
+        connect: Callable[[], socket.socket],
+        on_close: Callable[[Connection, str], None],
+    ) -> None:
+        self._peer, self._limits, self._connect, self._on_close = peer, limits, connect, on_close
+        self._inspector = PeerInspector(limits)
+        self._inner: socket.socket | None = None
+        self._pipes: list[Pipe] = []
+        self._first = b""
+        self._tokens = float(limits.burst_bytes)
+        self._resume: asyncio.TimerHandle | None = None
+        self.accepted_s = self.active_s = self._seen_s = time.monotonic()
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(peer, self._read_signature)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether its handshake has come."""
+        return self._inspector.is_ready
+
+    def deliver(self) -> None:
+        """Send what libzmq left for the peer, as far as it takes it at once: the daemon ends."""
+        if self._pipes:
+            self._pipes[1].finish()
+
+    def close(self, why: str = "") -> None:
+        """End it, on both sides."""
+        if self._peer.fileno() < 0:
+            return
+        if self._resume is not None:
+            self._resume.cancel()
+        for pipe in self._pipes:
+            pipe.close()
+        if self._inner is None:
+            self._loop.remove_reader(self._peer)
+        else:
+            self._inner.close()
+        self._peer.close()
+        self._on_close(self, why)
+
+    def _read_signature(self) -> None:
+        """Until the first bytes are a peer's, libzmq hears nothing of it."""
+        try:
+            data = self._peer.recv(BLOCK_BYTES)
+        except NOT_NOW:
+            return
+        except OSError as exc:
+            self.close(str(exc.strerror))
+            return
+        if not data:
+            self.close()
+            return
+        self._first += data
+        try:
+            self._seen(data)
+            if not self._inspector.is_peer:
+                return
+            self._inner = self._connect()
+        except (OSError, PeerRefusal) as exc:
+            self.close(str(exc))
+            return
+        self._loop.remove_reader(self._peer)
+        inward = Pipe(self._peer, self._inner, self._seen, self.close)
+        outward = Pipe(self._inner, self._peer, self._sent, self.close)
+        self._pipes = [inward, outward]
+        first, self._first = self._first, b""
+        inward.put(first)
+        inward.start()
+        outward.start()
+
+    def _sent(self, data: bytes) -> None:
+        self.active_s = time.monotonic()
+
+    def _seen(self, data: bytes) -> None:
+        now_s = time.monotonic()
+        self._inspector.feed(data)
+        if self._limits.bytes_per_s is not None:
+            self._tokens += (now_s - self._seen_s) * self._limits.bytes_per_s
+            self._tokens = min(self._tokens, self._limits.burst_bytes) - len(data)
+            if self._tokens < 0 and self._pipes and self._resume is None:
+                self._pipes[0].hold()
+                self._resume = self._loop.call_later(-self._tokens / self._limits.bytes_per_s, self._read_again)
+        self.active_s = self._seen_s = now_s
+
+    def _read_again(self) -> None:
+        self._resume = None
+        self._pipes[0].start()

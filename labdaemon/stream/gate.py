@@ -1,0 +1,222 @@
+"""The door of a socket: accepts the peers of a TCP port, so many and no more, and connects each to libzmq.
+
+libzmq accepts whoever comes, until the process has no descriptor left for the shaker's port, a frame or the journal.
+Here the number is bounded, what never speaks has to leave, and a system without descriptors is waited out. libzmq
+itself listens on a socket of the machine that only this process knows the name of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import os
+import resource
+import socket
+import time
+import uuid
+
+from labdaemon.stream.connection import NOT_NOW, Connection
+from labdaemon.stream.zmtp import PeerLimits
+
+BACKLOG = 256
+RESERVED = 320
+"""Descriptors that are left to devices, journal, frames and workers."""
+MOST_PEERS = 200
+LEAST_PEERS = 8
+GATES = 2
+DESCRIPTORS_A_PEER = 3
+"""Its TCP socket, and both ends of its connection to libzmq."""
+HANDSHAKE_S = 5.0
+"""A peer that has not said hello by then is none."""
+IDLE_S = 5.0
+"""A peer of the commands socket that was silent for so long gives its place to a newcomer when all are taken."""
+CROWD_AT_A_TIME = 8
+CROWD_PAUSE_S = 0.1
+"""When all places are taken, newcomers are looked at so many at a time, and then not for a while: thousands of clients
+that are turned away come back ten times a second each."""
+EXHAUSTED_PAUSE_S = 0.5
+LOG_EVERY_S = 60.0
+
+log = logging.getLogger(__name__)
+
+
+def most_peers() -> int:
+    """Connections that one gate lets in: the descriptors that the system grants are shared out."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if limit == resource.RLIM_INFINITY:
+        return MOST_PEERS
+    return min(max((limit - RESERVED) // (GATES * DESCRIPTORS_A_PEER), LEAST_PEERS), MOST_PEERS)
+
+
+def inner_address() -> str:
+    """A name for libzmq's own socket, which leaves no file behind where the system can do without one."""
+    return f"ipc://@labdaemon-{os.getpid()}-{uuid.uuid4().hex}"
+
+
+class Gate:
+    """Lets peers in.
+
+    Parameters
+    ----------
+    address
+        ``tcp://HOST:PORT``; port ``*`` takes a free one. HOST may be an IPv6 address in brackets.
+    inner
+        Where libzmq listens, see `inner_address`.
+    limits
+        What one peer may send.
+    evicts_idle
+        Whether a silent peer gives its place to a newcomer when all are taken. Subscribers are silent by nature: there
+        the newcomer is turned away.
+    most
+        Connections at a time.
+
+    Attributes
+    ----------
+    address
+        With the port that was taken.
+    refusals
+        Connections that were turned away or ended for what they sent.
+    """
+
+    def __init__(
+        self, address: str, inner: str, limits: PeerLimits, *, evicts_idle: bool, most: int | None = None
+    ) -> None:
+        self._limits, self._evicts_idle = limits, evicts_idle
+        self._inner = inner.removeprefix("ipc://")
+        self._most = most if most is not None else most_peers()
+        self._connections: list[Connection] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._logged_s = -LOG_EVERY_S
+        self.refusals = 0
+        self._listener = _listen(address)
+        host, _, _ = address.removeprefix("tcp://").rpartition(":")
+        self.address = f"tcp://{host}:{self._listener.getsockname()[1]}"
+
+    def open(self) -> None:
+        """Let peers in from now on. Call it on the event loop; again is harmless."""
+        if self._loop is None:
+            self._loop = asyncio.get_running_loop()
+            self._accept_again()
+            self._sweep()
+
+    def close(self) -> None:
+        """Give the port back; what libzmq still had for the peers is sent as far as they take it at once."""
+        if self._loop is not None:
+            self._loop.remove_reader(self._listener)
+        for timer in self._timers.values():
+            timer.cancel()
+        self._listener.close()
+        for connection in list(self._connections):
+            connection.deliver()
+            connection.close()
+
+    def _accept_again(self) -> None:
+        if self._loop is not None and self._listener.fileno() >= 0:
+            self._loop.add_reader(self._listener, self._accept)
+
+    def _accept(self) -> None:
+        for _ in range(CROWD_AT_A_TIME):
+            try:
+                peer, _ = self._listener.accept()
+            except NOT_NOW:
+                return
+            except OSError as exc:
+                self._note(f"a connection could not be accepted ({exc.strerror}); tried again")
+                if exc.errno in {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}:
+                    self._pause(EXHAUSTED_PAUSE_S)
+                return
+            self._let_in(peer)
+        if len(self._connections) >= self._most:
+            self._pause(CROWD_PAUSE_S)
+
+    def _let_in(self, peer: socket.socket) -> None:
+        if len(self._connections) >= self._most and not self._make_room():
+            peer.close()
+            self._note(f"all {self._most} places are taken")
+            return
+        try:
+            peer.setblocking(False)
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        except OSError:
+            peer.close()  # it has left already
+            return
+        self._connections.append(Connection(peer, self._limits, self._connect, self._forget))
+
+    def _make_room(self) -> bool:
+        """End the connection that is missed least; False where none can go."""
+        now_s = time.monotonic()
+        silent = [connection for connection in self._connections if not connection.is_ready]
+        if not silent and self._evicts_idle:
+            silent = [connection for connection in self._connections if now_s - connection.active_s > IDLE_S]
+        if not silent:
+            return False
+        min(silent, key=lambda connection: connection.active_s).close("its place was needed")
+        return True
+
+    def _connect(self) -> socket.socket:
+        """To libzmq, which accepts at once or is full."""
+        inner = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        try:
+            inner.setblocking(False)
+            inner.connect(self._inner.replace("@", "\0", 1) if self._inner[:1] == "@" else self._inner)
+        except OSError:
+            inner.close()
+            raise
+        return inner
+
+    def _forget(self, connection: Connection, why: str) -> None:
+        self._connections.remove(connection)
+        if why:
+            self._note(why)
+
+    def _sweep(self) -> None:
+        """End, every second, what has not become a peer."""
+        if self._loop is None:
+            return
+        now_s = time.monotonic()
+        for connection in list(self._connections):
+            if not connection.is_ready and now_s - connection.accepted_s > HANDSHAKE_S:
+                connection.close("it never said hello")
+        self._timers["sweep"] = self._loop.call_later(1.0, self._sweep)
+
+    def _pause(self, seconds: float) -> None:
+        if self._loop is not None:
+            self._loop.remove_reader(self._listener)
+            self._timers["accept"] = self._loop.call_later(seconds, self._accept_again)
+
+    def _note(self, why: str) -> None:
+        """One line a minute at most, however many are turned away."""
+        self.refusals += 1
+        now_s = time.monotonic()
+        if now_s - self._logged_s >= LOG_EVERY_S:
+            self._logged_s = now_s
+            log.warning("%s: connection refused: %s (%d so far)", self.address, why, self.refusals)
+
+
+def _listen(address: str) -> socket.socket:
+    """A listening socket.
+
+    Raises
+    ------
+    OSError
+        The address is taken, or none of this machine's.
+    """
+    host, _, port = address.removeprefix("tcp://").rpartition(":")
+    found = socket.getaddrinfo(host.strip("[]"), None if port == "*" else int(port), type=socket.SOCK_STREAM)
+    found.sort(key=lambda entry: entry[0] != socket.AF_INET)  # "localhost" is both; clients look for the older first
+    family, kind, protocol, _, place = found[0]
+    listener = socket.socket(family, kind | socket.SOCK_CLOEXEC, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        listener.bind(place)
+        listener.listen(BACKLOG)
+        listener.setblocking(False)
+    except OSError:
+        listener.close()
+        raise
+    return listener

@@ -1,0 +1,143 @@
+"""What a peer sends, seen frame by frame (ZMTP 3): enough to refuse what would cost the daemon more than a peer may.
+
+libzmq bounds a single frame. It keeps a message of endless frames until the last, and every topic of a subscriber for
+as long as that is connected; a port scanner's bytes occupy a connection until a timeout. Only lengths, flags and topics
+are looked at here, nothing is changed, so encrypted connections pass as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SIGNATURE_BYTES = 10
+GREETING_BYTES = 64
+MORE, LONG, COMMAND = 1, 2, 4
+"""Flags of a frame."""
+FRAME_COST = 64
+"""What libzmq keeps for a frame in addition to its bytes."""
+PREFIX_BYTES = 10
+"""Enough of a frame's body to see a subscription in it."""
+HANDSHAKE_BYTES = 4096
+"""The longest command of a handshake; CURVE's have some hundred bytes and a socket's properties."""
+
+
+class PeerRefusal(Exception):
+    """The peer is none, or asks for more than it may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeerLimits:
+    """What one peer may send.
+
+    Attributes
+    ----------
+    frame_bytes, message_bytes
+        Of one frame, and of all frames of one message, each with `FRAME_COST` added.
+    topics
+        Subscriptions at a time; None where there are none to count.
+    bytes_per_s, burst_bytes
+        How fast it is read, and how much at once; None for as fast as it comes.
+    """
+
+    frame_bytes: int
+    message_bytes: int
+    topics: int | None = None
+    bytes_per_s: float | None = None
+    burst_bytes: int = 0
+
+
+class PeerInspector:
+    """Follows the bytes of one peer.
+
+    Parameters
+    ----------
+    limits
+        What it may send.
+
+    Attributes
+    ----------
+    is_peer
+        It began as a peer begins.
+    is_ready
+        Its part of the handshake has come.
+    """
+
+    def __init__(self, limits: PeerLimits) -> None:
+        self._limits = limits
+        self.is_peer = self.is_ready = False
+        self._greeting = b""
+        self._header = b""
+        self._flags = 0
+        self._left = 0
+        self._prefix = b""
+        self._message_bytes = 0
+        self._topics = 0
+
+    def feed(self, data: bytes) -> None:
+        """Look at the next bytes.
+
+        Raises
+        ------
+        PeerRefusal
+            They are none of a peer's, or too many.
+        """
+        at = 0
+        if len(self._greeting) < GREETING_BYTES:
+            at = GREETING_BYTES - len(self._greeting)
+            self._greeting += data[:at]
+            self._check_greeting()
+        size = len(data)
+        while at < size:
+            if self._left:
+                taken = min(self._left, size - at)
+                if len(self._prefix) < PREFIX_BYTES:
+                    self._prefix += data[at : at + min(taken, PREFIX_BYTES - len(self._prefix))]
+                self._left -= taken
+                at += taken
+                if not self._left:
+                    self._end_frame()
+                continue
+            self._header += data[at : at + 1]
+            at += 1
+            if len(self._header) == (9 if self._header[0] & LONG else 2):
+                self._begin_frame()
+
+    def _check_greeting(self) -> None:
+        seen = self._greeting
+        self.is_peer = len(seen) >= SIGNATURE_BYTES
+        if seen[:1] not in {b"", b"\xff"} or (self.is_peer and not seen[SIGNATURE_BYTES - 1] & 1):
+            raise PeerRefusal("no ZeroMQ peer")
+        if len(seen) > SIGNATURE_BYTES and seen[SIGNATURE_BYTES] < 3:
+            raise PeerRefusal("a ZeroMQ peer older than version 4")
+
+    def _begin_frame(self) -> None:
+        self._flags, self._left = self._header[0], int.from_bytes(self._header[1:], "big")
+        self._header = self._prefix = b""
+        if self._flags & ~(MORE | LONG | COMMAND):
+            raise PeerRefusal("bytes that are no frame")
+        longest = self._limits.frame_bytes if self.is_ready else HANDSHAKE_BYTES
+        if self._left > longest:
+            raise PeerRefusal(f"a frame of more than {longest} bytes")
+        self._message_bytes += self._left + FRAME_COST
+        if self._message_bytes > self._limits.message_bytes + HANDSHAKE_BYTES:
+            raise PeerRefusal(f"a message of more than {self._limits.message_bytes} bytes")
+        if not self._left:
+            self._end_frame()
+
+    def _end_frame(self) -> None:
+        if not self._flags & MORE:
+            self._message_bytes = 0
+        if not self.is_ready:
+            self.is_ready = True
+        elif self._limits.topics is not None:
+            self._count_topics(self._limits.topics)
+
+    def _count_topics(self, most: int) -> None:
+        """A subscription is a message that begins with 1 (its end: with 0), or a command of that name."""
+        if self._flags & COMMAND:
+            change = (self._prefix == b"\x09SUBSCRIBE") - self._prefix.startswith(b"\x06CANCEL")
+        else:
+            change = self._prefix.startswith(b"\x01") - self._prefix.startswith(b"\x00")
+        self._topics = max(self._topics + change, 0)
+        if self._topics > most:
+            raise PeerRefusal(f"more than {most} subscriptions")
