@@ -138,12 +138,21 @@ class CameraStatus:
 
 @dataclass(frozen=True, slots=True)
 class CardFile:
-    """A file as the camera names it, on its card or in its memory."""
+    """A file as the camera names it, on its card or in its memory.
+
+    All of it together is what it is known by: bodies use names and handles again, and some have no clock.
+
+    Attributes
+    ----------
+    format
+        PTP's object format code, 0 where the driver knows none.
+    """
 
     handle: int
     name: str
     size_bytes: int
     captured_at: str
+    format: int = 0
 
 
 @runtime_checkable
@@ -171,7 +180,10 @@ class Camera(Protocol):
         ...
 
     def wait_file(self, timeout_s: float) -> CardFile | None:
-        """Next file that appeared since the last call (any format, folders skipped); None when none came in time."""
+        """Next file that appeared since the last call (any format, folders skipped); None when none came in time.
+
+        A file whose size is 0 or still changes is not reported before it has settled.
+        """
         ...
 
     def files(self) -> list[CardFile]:
@@ -183,11 +195,27 @@ class Camera(Protocol):
         ...
 
     def delete(self, file: CardFile) -> None:
-        """Delete the camera's copy; the caller has synced and verified its own."""
+        """Delete the camera's copy; the caller has synced and verified its own.
+
+        Raises `DeviceRefused` and deletes nothing where the handle now stands for something else.
+        """
         ...
 
     def close(self) -> None:
         """End the session and release the interface."""
+        ...
+
+
+@runtime_checkable
+class FileInspector(Protocol):
+    """What a camera's driver may offer in addition: looks at files before they are fetched."""
+
+    def describe(self, file: CardFile) -> CardFile | None:
+        """Ask the camera anew what the file's handle stands for; None if it is gone."""
+        ...
+
+    def read(self, file: CardFile, offset: int, size: int) -> bytes:
+        """Part of a file, fewer bytes at its end."""
         ...
 
 

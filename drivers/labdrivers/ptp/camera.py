@@ -22,7 +22,7 @@ from labdrivers.ptp.container import BadContainer
 from labdrivers.ptp.events import EventListener
 from labdrivers.ptp.exposure import describe, exposure_times, set_exposure, set_nearest
 from labdrivers.ptp.find import load_backend, open_camera
-from labdrivers.ptp.objects import fetch, free_bytes
+from labdrivers.ptp.objects import card_file, fetch, free_bytes, read_part
 from labdrivers.ptp.power_cycle import PowerCycle
 from labdrivers.ptp.session import PtpRefused, PtpSession
 from labdrivers.ptp.transport import UsbPipe
@@ -69,7 +69,7 @@ class PtpCamera:
         self._session: PtpSession | None = None
         self._events: EventListener | None = None
         self._watch: FileWatch | None = None
-        self._known: set[tuple[str, str]] | None = None
+        self._known: set[CardFile] | None = None
         self._lock = threading.RLock()
         self._power_cycle = PowerCycle(name, self._settings.power_cycle)
 
@@ -170,7 +170,7 @@ class PtpCamera:
             return CameraStatus(None if battery is None else int(battery.current), free_bytes(session))
 
     def wait_file(self, timeout_s: float) -> CardFile | None:
-        """Next new file, whatever told of it; None when none came in time.
+        """Next new file that is written to its end, whatever reported it; None when none came in time.
 
         Raises
         ------
@@ -202,11 +202,39 @@ class PtpCamera:
         with self._parsing():
             fetch(self._connected(), file, to)
 
+    def describe(self, file: CardFile) -> CardFile | None:
+        """What the file's handle stands for now; None if it is gone."""
+        with self._parsing():
+            return card_file(self._connected(), file.handle)
+
+    def read(self, file: CardFile, offset: int, size: int) -> bytes:
+        """Part of a file, fewer bytes at its end.
+
+        Raises
+        ------
+        DeviceRefused
+            The camera has no such file any more, or cannot send parts.
+        """
+        return read_part(self._connected(), file, offset, size)
+
     def delete(self, file: CardFile) -> None:
-        """Delete the camera's copy; one that is gone already is no error."""
+        """Delete the camera's copy; one that is gone already is no error.
+
+        Raises
+        ------
+        DeviceRefused
+            The handle stands for another file now, or for more bytes than were fetched; nothing is deleted.
+        """
+        now = self.describe(file)
+        if now is not None and now != file:
+            raise DeviceRefused(
+                f"has {now.name} ({now.size_bytes} bytes) where {file.name} ({file.size_bytes} bytes) was; it is kept",
+                device=self.name,
+            )
         session = self._connected()
         try:
-            session.call(Op.DELETE_OBJECT, file.handle, 0)
+            if now is not None:
+                session.call(Op.DELETE_OBJECT, file.handle, 0)
         except PtpRefused as exc:
             if exc.code != Response.BAD_HANDLE:
                 raise

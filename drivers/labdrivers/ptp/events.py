@@ -14,7 +14,9 @@ from labdrivers.ptp.codes import EventCode, Kind
 from labdrivers.ptp.container import BadContainer, read_header, unpack_parameters
 from labdrivers.ptp.transport import UsbPipe
 
-NEWS = frozenset({EventCode.OBJECT_ADDED, EventCode.NIKON_ADDED_IN_SDRAM, EventCode.STORE_FULL})
+NEWS = frozenset(
+    {EventCode.OBJECT_ADDED, EventCode.OBJECT_REMOVED, EventCode.NIKON_ADDED_IN_SDRAM, EventCode.STORE_FULL}
+)
 LISTEN_S = 0.1
 
 

@@ -36,6 +36,38 @@ def object_info(session: PtpSession, handle: int) -> ObjectInfo | None:
         raise
 
 
+def as_card_file(handle: int, info: ObjectInfo) -> CardFile:
+    """A file as the rest of the program knows it."""
+    return CardFile(handle, info.name, info.size_bytes, info.captured_at, info.format)
+
+
+def card_file(session: PtpSession, handle: int) -> CardFile | None:
+    """The file behind a handle as the body describes it now; None for a folder, or a handle that is gone."""
+    info = object_info(session, handle)
+    return None if info is None or info.is_folder else as_card_file(handle, info)
+
+
+def read_part(session: PtpSession, file: CardFile, offset: int, size: int) -> bytes:
+    """Part of a file.
+
+    Raises
+    ------
+    DeviceRefused
+        The camera has no such file, or no partial transfers.
+    """
+    if not session.supports(Op.GET_PARTIAL_OBJECT):
+        raise DeviceRefused("sends files only whole", device=session.device)
+    size = max(min(size, file.size_bytes - offset), 0)
+    if size == 0:
+        return b""
+    try:
+        return session.call(Op.GET_PARTIAL_OBJECT, file.handle, offset, size).data[:size]
+    except PtpRefused as exc:
+        if exc.code == Response.BAD_HANDLE:
+            raise DeviceRefused(f"has no file {file.name} any more", device=session.device) from exc
+        raise
+
+
 def free_bytes(session: PtpSession) -> int | None:
     """Free space of all cards together, None if the body does not tell."""
     if not session.supports(Op.GET_STORAGE_INFO):
@@ -53,8 +85,9 @@ def fetch(session: PtpSession, file: CardFile, to: Path) -> None:
     DeviceRefused
         The camera has no such file.
     ProtocolError
-        It sent more or less than it promised.
+        It sent more or less than it promised, or has another size or another file now than it promised.
     """
+    _must_be_same(session, file)
     have = to.stat().st_size if to.exists() else 0
     if have > file.size_bytes:
         have = 0  # what lies there is something else
@@ -79,6 +112,19 @@ def fetch(session: PtpSession, file: CardFile, to: Path) -> None:
                 f"sent {os.fstat(out.fileno()).st_size} bytes of {file.name}, promised {file.size_bytes}",
                 device=session.device,
             )
+    _must_be_same(session, file)
+
+
+def _must_be_same(session: PtpSession, file: CardFile) -> None:
+    """A body answers with half the size while it writes, and uses handles again."""
+    now = card_file(session, file.handle)
+    if now is None:
+        raise DeviceRefused(f"has no file {file.name} any more", device=session.device)
+    if now != file:
+        raise ProtocolError(
+            f"has {now.name} of {now.size_bytes} bytes where {file.name} of {file.size_bytes} was",
+            device=session.device,
+        )
 
 
 def _fetch_blocks(session: PtpSession, file: CardFile, have: int, write: Callable[[bytes], object]) -> None:

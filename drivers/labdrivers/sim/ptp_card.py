@@ -28,6 +28,8 @@ class CardObject:
     parent: int
     captured_at: str
     path: Path | None
+    added_s: float = 0.0
+    """`time.monotonic` when it was announced."""
 
 
 class CardFull(Exception):
@@ -54,33 +56,58 @@ class Card:
         self.capacity_bytes, self._suffix = capacity_bytes, suffix
         self._lock = threading.Lock()
         self._objects: dict[int, CardObject] = {}
-        self._next = 0
+        self._free_handles: list[int] = []
+        self._next = self._next_handle = 0
 
-    def add(self, content: bytes, captured_at: str | None = None) -> list[int]:
+    def add(
+        self,
+        content: bytes,
+        captured_at: str | None = None,
+        *,
+        name: str | None = None,
+        form: int = FORMAT_FILE,
+        reuse_handle: bool = False,
+    ) -> list[int]:
         """Store a file; return the handles that are new: first the folders, if it is the first file, then its own.
+
+        Parameters
+        ----------
+        content, captured_at
+            The file, and the body's time stamp.
+        name
+            Its name; None for the next number's.
+        form
+            PTP's object format.
+        reuse_handle
+            Take the handle that was freed last, if any.
 
         Raises
         ------
         CardFull
             It does not fit.
         """
-        stamp = captured_at or time.strftime("%Y%m%dT%H%M%S")
+        stamp = time.strftime("%Y%m%dT%H%M%S") if captured_at is None else captured_at
         with self._lock:
             if len(content) > self._free():
                 raise CardFull
             new = []
             folder = FIRST_FOLDER + self._next // FILES_A_FOLDER
             folder_name = f"{100 + self._next // FILES_A_FOLDER}NCD80"
-            for handle, name, parent in ((DCIM, "DCIM", NO_PARENT), (folder, folder_name, DCIM)):
+            for handle, title, parent in ((DCIM, "DCIM", NO_PARENT), (folder, folder_name, DCIM)):
                 if handle not in self._objects:
-                    self._objects[handle] = CardObject(handle, FORMAT_FOLDER, name, 0, parent, stamp, None)
+                    self._objects[handle] = CardObject(handle, FORMAT_FOLDER, title, 0, parent, stamp, None)
                     new.append(handle)
-            handle = FIRST_FILE + self._next
-            self._next += 1
-            name = f"DSC_{(self._next - 1) % FILES_A_FOLDER + 1:04d}{self._suffix}"
+            if reuse_handle and self._free_handles:
+                handle = self._free_handles.pop()
+            else:
+                handle = FIRST_FILE + self._next_handle
+                self._next_handle += 1
+            if name is None:
+                self._next += 1
+                name = f"DSC_{(self._next - 1) % FILES_A_FOLDER + 1:04d}{self._suffix}"
             path = self._directory / f"{handle:08x}"
             path.write_bytes(content)
-            self._objects[handle] = CardObject(handle, FORMAT_FILE, name, len(content), folder, stamp, path)
+            self._objects[handle] = CardObject(handle, form, name, len(content), folder, stamp, path, time.monotonic())
             return [*new, handle]
 
     def hold(self, content: bytes, captured_at: str) -> int:
@@ -117,6 +144,8 @@ class Card:
         """Remove a file; False if there is none of this handle."""
         with self._lock:
             item = self._objects.pop(handle, None)
+            if item is not None and handle != MEMORY_HANDLE:
+                self._free_handles.append(handle)
         if item is not None and item.path is not None:
             os.unlink(item.path)
         return item is not None

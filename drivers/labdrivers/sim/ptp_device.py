@@ -41,6 +41,16 @@ FAULTS = {
     "to_memory": "keeps its shots in memory, one at a time, as with the host as their medium",
     "slow_file": "takes `value` seconds longer to write a file (default 3)",
     "bad_dataset": "cuts its datasets short",
+    "zero_size": "says 0 bytes the first `value` times (default 1) that it is asked about a file",
+    "half_size": "announces a file `value` seconds (default 1) before it has written it, with half its size",
+    "one_name": "gives every file the name DSC_0001, as after DSC_9999",
+    "no_date": "gives its files no date",
+    "clock_reset": "has a clock that stands at its reset value",
+    "clock_shift": "has a clock that is `value` seconds ahead (default 3600)",
+    "reuse_handles": "gives a new file the handle of the one that was deleted last",
+    "companions": "writes a JPEG, a HEIF, a dust-off file, a note and a film of the same name with each shot",
+    "broken_object": "has two foreign objects with the next shot: one's name is broken, the other's description",
+    "deaf_while_busy": "ignores its release cable for `value` seconds (default 0.5) after it has sent part of a file",
 }
 OPERATIONS = (
     *range(0x1001, 0x1010), 0x1014, 0x1015, 0x1016, 0x101B, *range(0x90C0, 0x90CC), 0x9801, 0x9802, 0x9803, 0x9805,
@@ -48,6 +58,17 @@ OPERATIONS = (
 EVENTS = (0x4002, 0x4003, 0x4006, 0x400A, 0x400C, 0x400D, 0xC101, 0xC102)
 MODEL, MAKER, VERSION = "NIKON DSC D80", "Nikon Corporation", "V1.10"
 MOST_EVENTS = 500
+COMPANIONS = (
+    (".JPG", 0x3801, b"\xff\xd8\xff\xe1" + bytes(3000)),
+    (".HIF", 0xB110, b"\0\0\0\x1cftypheix\0\0\0\0mif1heic" + bytes(3000)),
+    (".NDF", 0x3000, b"NDF\0" + bytes(range(256)) * 8),
+    (".XMP", 0x3000, b"<x:xmpmeta xmlns:x='adobe:ns:meta/'>" + b" " * 500 + b"</x:xmpmeta>"),
+    (".MOV", 0x300D, b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + bytes(3000)),
+)
+"""What bodies write with the RAW file under the same stem: ending, format, content."""
+
+RESET_CLOCK = "20000101T000000"
+BROKEN_NAME = "\ud800../..\x07/DSC\udfff"
 RECOVERY_S = 0.1
 """From the closing of the shutter until it can be released again."""
 
@@ -100,6 +121,9 @@ class PtpBody:
         self._session_open = False
         self._taken_over = False
         self._closed_at = 0.0
+        self._sent_at = -1e9
+        self._asked: dict[int, int] = {}
+        self._broken: set[int] = set()
         self._told: deque[tuple[int, int]] = deque(maxlen=MOST_EVENTS)
         self.on_event: Callable[[int, int], None] = lambda code, parameter: None
 
@@ -115,6 +139,9 @@ class PtpBody:
         with self._lock:
             if self._taken_over or t < self._closed_at + RECOVERY_S or self.faults.strike("no_shutter"):
                 return None
+            deaf_s = self.faults.value("deaf_while_busy", 0.5) if self.faults.is_on("deaf_while_busy") else 0.0
+            if t < self._sent_at + deaf_s:
+                return None
             opened = t + self._exposer.lag_s + self._random.uniform(-1, 1) * self._jitter_s
             exposure_s = self.settings.exposure_s
             self._closed_at = opened + exposure_s
@@ -124,7 +151,7 @@ class PtpBody:
 
     def _take(self, opened: float, exposure_s: float, iso: int, f_number: float) -> None:
         time.sleep(max(0.0, opened + exposure_s - self._clock()))
-        stamp = time.strftime("%Y%m%dT%H%M%S", time.localtime(time.time() - exposure_s))
+        stamp = self._stamp(time.time() - exposure_s)
         if self.faults.strike("no_card"):
             return
         content = self._exposer.expose(opened, exposure_s, iso=iso, f_number=f_number)
@@ -138,7 +165,7 @@ class PtpBody:
         try:
             if self.faults.strike("card_full"):
                 raise CardFull
-            new = self.card.add(content, stamp)
+            new = self._write(content, stamp)
         except CardFull:
             self._tell(EventCode.STORE_FULL, STORAGE_ID)
             return
@@ -146,6 +173,32 @@ class PtpBody:
             return
         for handle in new:
             self._tell(EventCode.OBJECT_ADDED, handle)
+
+    def _stamp(self, at: float) -> str:
+        """The body's own time at a wall-clock time, as it writes it."""
+        if self.faults.is_on("no_date"):
+            return ""
+        if self.faults.is_on("clock_reset"):
+            return RESET_CLOCK
+        ahead_s = self.faults.value("clock_shift", 3600.0) if self.faults.is_on("clock_shift") else 0.0
+        return time.strftime("%Y%m%dT%H%M%S", time.localtime(at + ahead_s))
+
+    def _write(self, content: bytes, stamp: str) -> list[int]:
+        """Put a shot on the card, with what the body writes along; handles in the order of their announcement."""
+        reuse = self.faults.is_on("reuse_handles")
+        name = "DSC_0001.DNG" if self.faults.is_on("one_name") else None
+        new = self.card.add(content, stamp, name=name, reuse_handle=reuse)
+        shot = self.card.get(new[-1])
+        if self.faults.is_on("companions") and shot is not None:
+            stem = shot.name.rpartition(".")[0]
+            for ending, form, data in COMPANIONS:
+                new[-1:] = [*self.card.add(data, stamp, name=stem + ending, form=form), new[-1]]
+        if self.faults.strike("broken_object"):
+            named = self.card.add(b"nothing of a camera's", "", name=BROKEN_NAME)
+            cut = self.card.add(b"nothing of a camera's", "", name="X")
+            self._broken.update(cut)
+            new += named + cut
+        return new
 
     def _tell(self, code: int, parameter: int) -> None:
         if self.faults.is_on("event_flood"):
@@ -255,10 +308,12 @@ class PtpBody:
         if item is None or self.faults.strike("file_vanishes"):
             return Response.BAD_HANDLE, (), None
         if code == Op.GET_OBJECT_INFO:
-            return self._ok(_object_info(item))
+            return self._ok(self._describe(item))
         if code == Op.DELETE_OBJECT:
             self.card.delete(item.handle)
+            self._asked.pop(item.handle, None)
             return self._ok()
+        self._sent_at = self._clock()
         if code == Op.GET_OBJECT:
             return Response.OK, (), self.card.read(item, 0, item.size_bytes)
         if self.faults.is_on("no_partial"):
@@ -266,8 +321,22 @@ class PtpBody:
         if len(parameters) < 3:
             return Response.BAD_PARAMETER, (), None
         size = max(1, parameters[2] // 2) if self.faults.strike("short_partial") else parameters[2]
-        block = self.card.read(item, parameters[1], size)
+        block = self.card.read(item, parameters[1], min(size, max(self._size_now(item) - parameters[1], 0)))
         return Response.OK, (len(block),), block
+
+    def _describe(self, item: CardObject) -> bytes:
+        """GetObjectInfo's dataset, as far as the body has it right."""
+        if item.handle in self._broken:
+            return _object_info(item, item.size_bytes)[:60]
+        asked = self._asked[item.handle] = self._asked.get(item.handle, 0) + 1
+        is_early = self.faults.is_on("zero_size") and asked <= self.faults.value("zero_size", 1.0)
+        return _object_info(item, 0 if is_early and item.path is not None else self._size_now(item))
+
+    def _size_now(self, item: CardObject) -> int:
+        """How much of a file is written by now."""
+        early_s = self.faults.value("half_size", 1.0) if self.faults.is_on("half_size") else 0.0
+        is_early = item.path is not None and time.monotonic() < item.added_s + early_s
+        return item.size_bytes // 2 if is_early else item.size_bytes
 
     def _property(self, code: int, which: int, data: bytes) -> Answer:
         setting = self.settings.get(which)
@@ -298,8 +367,10 @@ class PtpBody:
         return struct.pack("<H", len(told)) + b"".join(struct.pack("<HI", *event) for event in told)
 
 
-def _object_info(item: CardObject) -> bytes:
+def _object_info(item: CardObject, size_bytes: int) -> bytes:
     association = 1 if item.path is None else 0
-    head = struct.pack("<IHHI", STORAGE_ID, item.format, 0, item.size_bytes)
+    head = struct.pack("<IHHI", STORAGE_ID, item.format, 0, size_bytes)
     middle = struct.pack("<HIIIIIIIHII", 0, 0, 0, 0, 3872, 2592, 12, item.parent, association, 0, 0)
-    return head + middle + b"".join(map(pack_string, (item.name, item.captured_at, item.captured_at, "")))
+    name = (item.name + "\0").encode("utf-16-le", "surrogatepass")  # a broken one is sent as it is
+    strings = map(pack_string, (item.captured_at, item.captured_at, ""))
+    return head + middle + bytes([len(name) // 2]) + name + b"".join(strings)
