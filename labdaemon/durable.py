@@ -150,6 +150,20 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         raise
 
 
+def is_being_written(part: Path) -> bool:
+    """Whether another process that lives writes this temporary file of `whole_file`."""
+    number = part.name.removesuffix(PART).rpartition(".")[2]
+    if not (part.name.startswith(".") and number.isdecimal()) or int(number) == os.getpid():
+        return False
+    try:
+        os.kill(int(number), 0)
+    except PermissionError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return True
+
+
 def append_durably(path: Path, content: bytes | str) -> None:
     """Add to a file's end and sync it; a write that fails halfway is taken back.
 

@@ -117,6 +117,10 @@ class DriverFault(DeviceError):
     retryable = True
 
 
+class ServiceFailure(LabdaemonError):
+    """A running service ended by itself; its cause says why. Never exit status 2: a restart may help."""
+
+
 class InterlockError(LabdaemonError):
     """A limit was crossed, so the shaker was stopped. Never retried by itself."""
 

@@ -39,6 +39,8 @@ class DataDisk:
         ------
         StorageUnavailable
             There is not, or it does not.
+        JournalError
+            Another disk lies where the journal's was.
         """
         try:
             async with asyncio.timeout(ANSWER_S):
@@ -63,6 +65,7 @@ class DataDisk:
 
     async def _check_room(self) -> None:
         try:
+            await self._recorder.on_disk(self._recorder.journal.check_place)
             free = await self._recorder.on_disk(self._free_bytes)
         except OSError as exc:
             cause = storage_error(exc, self._recorder.journal.folder)

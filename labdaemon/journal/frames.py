@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from labdaemon.durable import PART, make_folder, storage_error, sync_file, sync_folder
+from labdaemon.durable import PART, is_being_written, make_folder, storage_error, sync_file, sync_folder
 from labdaemon.errors import DataError
 
 BLOCK_BYTES = 1 << 20
@@ -62,7 +62,7 @@ def remove_parts(root: Path) -> list[Path]:
 
     After a power cut a part's length may promise bytes that never reached the disk, so none is gone on with.
     """
-    parts = sorted(root.rglob(f"*{PART}"))
+    parts = [part for part in sorted(root.rglob(f"*{PART}")) if not is_being_written(part)]
     for part in parts:
-        part.unlink()
+        part.unlink(missing_ok=True)
     return parts

@@ -99,6 +99,7 @@ class Journal:
         self._lock = lock or DataLock(folder)
         try:
             self._open(replace_damaged)
+            self._device = folder.stat().st_dev
         except BaseException:
             self._lock.release()
             raise
@@ -174,6 +175,22 @@ class Journal:
         It must be quick and must not raise.
         """
         self._listeners.append(listener)
+
+    def check_place(self) -> None:
+        """Look whether the folder's path still leads to this journal's disk.
+
+        Raises
+        ------
+        JournalError
+            Another disk lies there: one was mounted over it, or unmounted.
+        OSError
+            None lies there now.
+        """
+        # The device alone: some network shares give a folder a new inode number now and then.
+        if self.folder.stat().st_dev != self._device:
+            raise JournalError(
+                "another disk lies there since the start (mounted or unmounted?); start again", file=self.folder
+            )
 
     def close(self) -> None:
         """Close it and let another daemon have it."""

@@ -12,6 +12,7 @@ from labdaemon.errors import DataError
 from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
 from labdaemon.processing.folder import DataFolder, open_folder
 from labdaemon.processing.pool import WorkerPool
+from labdaemon.processing.results_place import ResultsPlace
 from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, write_csv
 
@@ -40,17 +41,21 @@ class FolderResult:
         One result a capture or group.
     sharp_sets
         By name, "" for the flat one.
+    note
+        Why the result files are not in the usual place; None where they are.
     """
 
     out: Path
     captures: tuple[CaptureResult, ...]
     sharp_sets: dict[str, SharpSet]
+    note: str | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """All notes, of sharp sets and captures."""
         sets = [note for sharp in self.sharp_sets.values() for note in sharp.notes]
-        return (*sets, *(note for capture in self.captures for note in capture.notes))
+        own = () if self.note is None else (self.note,)
+        return (*own, *sets, *(note for capture in self.captures for note in capture.notes))
 
 
 def jobs(folder: DataFolder) -> list[Job]:
@@ -91,7 +96,7 @@ def process_folder(
     folder
         The data-set folder; only `out` is written to.
     out
-        Where to, FOLDER/results if None.
+        Where to, FOLDER/results if None, or FOLDER/results-2 (-3 …) while another process writes there.
     pool
         Worker processes to use; a pool of its own, one process a core, if None.
     method
@@ -104,7 +109,7 @@ def process_folder(
     DataError, ConfigError
         The input cannot be used: one line naming the file; nothing is written then.
     """
-    opened = open_folder(folder)
+    opened, place = open_folder(folder), ResultsPlace.of(folder)
     if method is not None:
         settings = opened.rig.processing.model_copy(update={"method": method})
         rig = opened.rig.model_copy(update={"processing": settings})
@@ -114,12 +119,12 @@ def process_folder(
     with contextlib.nullcontext(pool) if pool is not None else WorkerPool() as workers:
         sets = _prepare(opened, todo, workers, tell)
         results = _measure(opened, todo, sets, workers, tell)
-    target = out if out is not None else folder / "results"
+    target, note = (out, None) if out is not None else place.choose()
     rows = [row for result in results for row in result.measurement_rows]
     write_csv(target / "measurements.csv", MEASUREMENT_COLUMNS, rows)
     rows = [row for result in results for row in result.envelope_rows]
     write_csv(target / "envelope.csv", ENVELOPE_COLUMNS, rows)
-    return FolderResult(target, tuple(results), sets)
+    return FolderResult(target, tuple(results), sets, note)
 
 
 def _prepare(folder: DataFolder, todo: Sequence[Job], pool: WorkerPool, tell: Progress) -> dict[str, SharpSet]:

@@ -11,12 +11,11 @@ from pathlib import Path
 
 from labdaemon.campaign.measuring import Measured, Rows
 from labdaemon.durable import append_durably, storage_error, whole_file
+from labdaemon.processing.results_place import FILES as NAMES
+from labdaemon.processing.results_place import RESULTS, Stamp, stamps
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, csv_text
 
-FILES = (("envelope.csv", ENVELOPE_COLUMNS), ("measurements.csv", MEASUREMENT_COLUMNS))
-
-Stamp = tuple[int, int, int]
-"""Inode, size in bytes and time of change (ns) of a file: another's write changes one of them."""
+FILES = tuple(zip(NAMES, (ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS), strict=True))
 
 
 class ResultFiles:
@@ -33,14 +32,14 @@ class ResultFiles:
         StorageError
             The disk refuses it.
         """
-        envelope, measurements = (folder / "results" / name for name, _ in FILES)
+        envelope, measurements = (folder / RESULTS / name for name, _ in FILES)
         with whole_file(envelope) as first, whole_file(measurements) as other:
             for file, (_, columns) in zip((first, other), FILES, strict=True):
                 file.write(csv_text(columns, []).encode())
             for result in results:
                 first.write(_lines(ENVELOPE_COLUMNS, result.envelope))
                 other.write(_lines(MEASUREMENT_COLUMNS, result.measurements))
-        self._left[folder] = _stamps(folder)
+        self._left[folder] = stamps(folder)
 
     def append(self, folder: Path, result: Measured) -> bool:
         """Add one result's rows, synced; False, and nothing done, where the files are not as this daemon left them.
@@ -51,22 +50,22 @@ class ResultFiles:
             The disk refuses it.
         """
         left = self._left.pop(folder, None)
-        if left is None or None in left or left != _stamps(folder):
+        if left is None or None in left or left != stamps(folder):
             return False
         for (name, columns), rows in zip(FILES, (result.envelope, result.measurements), strict=True):
-            append_durably(folder / "results" / name, _lines(columns, rows))
-        self._left[folder] = _stamps(folder)
+            append_durably(folder / RESULTS / name, _lines(columns, rows))
+        self._left[folder] = stamps(folder)
         return True
 
 
 def stamp(folder: Path) -> str:
     """The files' state in a word, to be kept: another word later means that they were changed."""
-    return repr(_stamps(folder))
+    return repr(stamps(folder))
 
 
 def captures_in(folder: Path) -> set[str]:
     """Names of the captures and groups that have rows in a folder's ``envelope.csv``; none where it is not there."""
-    path = folder / "results" / FILES[0][0]
+    path = folder / RESULTS / FILES[0][0]
     try:
         # A power cut may leave zero bytes, which csv refuses, or half a character.
         with path.open(encoding="utf-8", errors="replace", newline="") as file:
@@ -77,18 +76,6 @@ def captures_in(folder: Path) -> set[str]:
         return set()
     except OSError as exc:
         raise storage_error(exc, path) from exc
-
-
-def _stamps(folder: Path) -> tuple[Stamp | None, ...]:
-    return tuple(_stamp(folder / "results" / name) for name, _ in FILES)
-
-
-def _stamp(path: Path) -> Stamp | None:
-    try:
-        about = path.stat()
-    except OSError:
-        return None
-    return about.st_ino, about.st_size, about.st_mtime_ns
 
 
 def _lines(columns: Sequence[str], rows: Rows) -> bytes:

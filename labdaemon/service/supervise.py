@@ -7,8 +7,12 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from labdaemon.clock import Clock
+from labdaemon.errors import LabdaemonError, ServiceFailure, StorageUnavailable, UsageError
 
 log = logging.getLogger(__name__)
+
+DISK_S = 2.0
+"""Pause before a part that only waits for the disk is started again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,12 @@ async def supervise(name: str, run: Callable[[], Awaitable[None]], clock: Clock,
     while True:
         try:
             await run()
-        except Exception:
+        except Exception as exc:
+            if is_of_disk(exc):
+                # However long the disk takes nothing, it is no failure of this part.
+                log.warning("%s waits for the disk: %s", name, exc)
+                await clock.sleep(min(rule.longest_s, DISK_S))
+                continue
             now_s = clock.monotonic()
             failures = [at_s for at_s in failures if now_s - at_s < rule.window_s] + [now_s]
             if len(failures) > rule.limit:
@@ -52,3 +61,19 @@ async def supervise(name: str, run: Callable[[], Awaitable[None]], clock: Clock,
             await clock.sleep(min(rule.first_s * 2.0 ** (len(failures) - 1), rule.longest_s))
         else:
             return
+
+
+def is_of_disk(exc: BaseException) -> bool:
+    """Whether an error, or each of a group of errors, passes when the disk takes writes again."""
+    if isinstance(exc, BaseExceptionGroup):
+        return all(is_of_disk(one) for one in exc.exceptions)
+    return isinstance(exc, StorageUnavailable)
+
+
+def as_failure(exc: BaseException) -> BaseException:
+    """What ended a part of the running service, as what ends the service: in one line, and never exit status 2."""
+    if isinstance(exc, BaseExceptionGroup):
+        return as_failure(exc.exceptions[0])
+    if isinstance(exc, LabdaemonError) and exc.exit_status == UsageError.exit_status:
+        return ServiceFailure(str(exc))
+    return exc

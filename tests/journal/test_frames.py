@@ -38,12 +38,20 @@ def test_a_sync_comes_before_the_rename_and_the_folders_after(tmp_path: Path, mo
     assert done == [str(part_of(path)), "rename", str(tmp_path)]
 
 
-def test_strays_are_found_wherever_they_are(tmp_path: Path):
-    for name in ("a/left.dng.part", "b.part", "c.dng"):
+def test_parts_are_found_wherever_they_are(tmp_path: Path):
+    own = f".own.{os.getpid()}.part"
+    for name in ("a/left.dng.part", "b.part", "c.dng", own, ".dead.99999999.part"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"x")
-    assert [path.name for path in remove_parts(tmp_path)] == ["left.dng.part", "b.part"]
+    assert {path.name for path in remove_parts(tmp_path)} == {"left.dng.part", "b.part", own, ".dead.99999999.part"}
     assert (tmp_path / "c.dng").exists()
+
+
+def test_a_part_that_another_process_writes_is_left_alone(tmp_path: Path):
+    part = tmp_path / f".envelope.csv.{os.getppid()}.part"
+    part.write_bytes(b"x")
+    assert remove_parts(tmp_path) == []
+    assert part.exists()
 
 
 def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -193,6 +193,23 @@ def test_a_folder_without_sync_or_locks_is_used(tmp_path: Path, monkeypatch: pyt
     journal.close()
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a disk needs root")
+def test_a_disk_mounted_over_the_folder_is_noticed(tmp_path: Path):
+    data = tmp_path / "data"
+    journal = Journal(data, SimulatedClock())
+    journal.check_place()
+    if subprocess.run(["mount", "-t", "tmpfs", "tmpfs", data]).returncode:
+        journal.close()
+        pytest.skip("a disk cannot be mounted here")
+    try:
+        with pytest.raises(JournalError, match="another disk"):
+            journal.check_place()
+    finally:
+        subprocess.run(["umount", data], check=True)
+    journal.check_place()
+    journal.close()
+
+
 def test_closing_does_not_wait_for_a_write_that_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("labdaemon.journal.journal.CLOSE_S", 0.05)
     journal = Journal(tmp_path, SimulatedClock())

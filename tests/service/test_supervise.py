@@ -6,7 +6,9 @@ import logging
 import pytest
 
 from labdaemon.clock import SimulatedClock
-from labdaemon.service.supervise import Restarts, supervise
+from labdaemon.errors import ConfigError, InterlockError, ServiceFailure, StorageFull, StorageUnavailable
+from labdaemon.journal.storage import JournalError
+from labdaemon.service.supervise import Restarts, as_failure, supervise
 
 
 def run(failures: int, rule: Restarts, gap_s: float = 0.0) -> tuple[SimulatedClock, list[float]]:
@@ -37,3 +39,24 @@ def test_what_fails_too_often_is_passed_on():
 def test_failures_long_ago_do_not_count():
     _, starts = run(20, Restarts(limit=2, window_s=100.0), gap_s=60.0)
     assert len(starts) == 21
+
+
+def test_a_disk_that_takes_nothing_is_waited_for_without_a_limit():
+    clock, starts = SimulatedClock(), []
+
+    async def part() -> None:
+        starts.append(clock.monotonic())
+        if len(starts) <= 100:
+            raise ExceptionGroup("tasks", [StorageFull("full"), StorageUnavailable("locked")])
+
+    clock.run(supervise("part", part, clock, Restarts(limit=2)))
+    assert len(starts) == 101
+
+
+@pytest.mark.parametrize("error", [JournalError("damaged"), ConfigError("wrong"), InterlockError("moves")])
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_running_service_never_ends_with_status_2(error: Exception, wrapped: bool):
+    failure = as_failure(ExceptionGroup("tasks", [ExceptionGroup("more", [error])]) if wrapped else error)
+    assert failure.exit_status == 1
+    assert str(error) in str(failure)
+    assert isinstance(failure, InterlockError | ServiceFailure)

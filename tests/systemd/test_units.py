@@ -56,6 +56,13 @@ def test_it_waits_for_ready_is_watched_and_restarted_and_ends_at_rest():
     assert "safe-stop" in found["ExecStopPost"]
 
 
+def test_it_is_never_given_up():
+    text = SERVICE.read_text()
+    assert "\nStartLimitIntervalSec=0\n" in text
+    assert "StartLimitBurst" not in text
+    assert int(settings()["RestartSec"]) >= 2  # a start that fails at once does not keep the computer busy
+
+
 @pytest.mark.parametrize("key", ["ExecStart", "ExecStopPost"])
 def test_the_commands_exist_with_the_options_that_the_unit_gives(key: str):
     program, command, *arguments = settings()[key].split()
