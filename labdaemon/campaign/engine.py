@@ -168,7 +168,7 @@ class Engine:
             There is no such campaign, it is not paused, or it was planned for another rig.
         """
         record = named_campaign(self.lab.recorder.journal, campaign, self.current, "paused")
-        plan = self._planner(record.toml)
+        plan = await self.lab.recorder.aside(self._planner, record.toml)
         if plan.digest != record.digest:
             if not accept_changed_rig:
                 raise WrongState(f"{record.id}: {CHANGED_RIG}")
@@ -242,7 +242,8 @@ class Engine:
 
     def _next(self) -> CampaignRecord | None:
         journal = self.lab.recorder.journal
-        waiting = records.campaigns(journal, "running", "paused") or records.campaigns(journal, "queued")
+        waiting = records.campaigns(journal, "running", "paused", limit=1)
+        waiting = waiting or records.campaigns(journal, "queued", limit=1)
         return waiting[0] if waiting else None
 
     async def _idle(self, guard: asyncio.Task[None]) -> None:
@@ -276,7 +277,7 @@ class Engine:
         if record.state == "paused" or self.control.wish == "go":
             self.control.clear("pause" if record.state == "paused" else "go")
         try:
-            self.plan = plan = self._planner(record.toml)
+            self.plan = plan = await self.lab.recorder.aside(self._planner, record.toml)
             if plan.digest != record.digest and record.state != "paused":
                 if self.policy.accept_changed_rig:
                     await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)

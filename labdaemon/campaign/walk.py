@@ -74,7 +74,7 @@ class Walker:
             await self.lab.table.rest()
         else:
             note = sharp_folder(self.lab.data, self.campaign, step.sharp_set) / "set.toml"
-            write_durably(note, "at_rest = false\n")
+            await self.lab.recorder.on_disk(write_durably, note, "at_rest = false\n")
         if self.lab.rig.trigger is None:
             await self._external(step)
             return
@@ -175,8 +175,7 @@ class Walker:
 
     def order(self, step: Step, place: int, shot: Shot) -> CaptureRecord:
         """The capture to be, under a name that no earlier attempt had."""
-        earlier = records.captures(self.lab.recorder.journal, self.campaign, step=step.index)
-        attempt = 1 + sum(capture.shot == place for capture in earlier)
+        attempt = 1 + records.count_shots(self.lab.recorder.journal, self.campaign, step.index, place)
         name = f"{step.label}-{place + 1:02d}" + (f"-r{attempt}" if attempt > 1 else "")
         return CaptureRecord(
             campaign=self.campaign,

@@ -152,7 +152,8 @@ async def keep(lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile]) 
 async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
     """Every frame is stored: write what measuring needs beside them, and tell."""
     if not capture.is_sharp:
-        write_durably(capture_folder(lab.data, capture) / "capture.toml", capture_toml(capture))
+        path = capture_folder(lab.data, capture) / "capture.toml"
+        await lab.recorder.on_disk(write_durably, path, capture_toml(capture))
     told = {
         "step": capture.step if capture.step >= 0 else None,
         "label": capture.label,

@@ -92,7 +92,7 @@ async def store(
         The disk refused it. `StorageUnavailable` if it may take it later.
     """
     name = camera.driver.name
-    size_bytes, sha256 = await _fetch(camera, file, path, clock)
+    size_bytes, sha256 = await _fetch(camera, file, path, recorder, clock)
     frame = FrameRecord(
         campaign,
         capture,
@@ -117,7 +117,9 @@ async def clear_card(camera: Wired[Camera], file: CardFile) -> None:
         return
 
 
-async def _fetch(camera: Wired[Camera], file: CardFile, path: Path, clock: Clock) -> tuple[int, str]:
+async def _fetch(
+    camera: Wired[Camera], file: CardFile, path: Path, recorder: Recorder, clock: Clock
+) -> tuple[int, str]:
     """Download and seal on the camera's own thread, going on after a broken transfer where it broke."""
     deadline_s = CALL_S + file.size_bytes / SLOWEST_BYTES_S
     size_bytes = file.size_bytes if 0 < file.size_bytes < 0xFFFFFFFF else None
@@ -129,12 +131,12 @@ async def _fetch(camera: Wired[Camera], file: CardFile, path: Path, clock: Clock
             raise storage_error(exc, path) from exc
         return seal(path, size_bytes)
 
-    part_of(path).unlink(missing_ok=True)
+    await recorder.on_disk(_remove_part, path)
     for attempt in range(1, FETCH_TRIES + 1):
         try:
             return await camera.call(fetch, deadline_s)
         except StorageUnavailable:
-            part_of(path).unlink(missing_ok=True)
+            await recorder.on_disk(_remove_part, path)
             raise
         except (DeviceError, DataError) as exc:
             if attempt == FETCH_TRIES or not (exc.retryable or isinstance(exc, DataError)):
@@ -142,6 +144,10 @@ async def _fetch(camera: Wired[Camera], file: CardFile, path: Path, clock: Clock
             await clock.sleep(0.5 * 2.0**attempt)
             await reconnect(camera)
     raise AssertionError("the loop returns or raises")
+
+
+def _remove_part(path: Path) -> None:
+    part_of(path).unlink(missing_ok=True)
 
 
 async def reconnect(camera: Wired[Camera]) -> None:

@@ -27,8 +27,8 @@ class Recorder:
         The journal's own thread.
     committed
         Called on the event loop after each commit.
-    files
-        The thread for files; the journal's where there is no other.
+    files, work
+        The threads for files and for what only takes long; the journal's where there is no other.
     """
 
     def __init__(
@@ -37,10 +37,11 @@ class Recorder:
         line: Line,
         committed: Callable[[], None] = lambda: None,
         files: Line | None = None,
+        work: Line | None = None,
     ) -> None:
         self.journal = journal
         self.committed = committed
-        self._line, self._files = line, files or line
+        self._line, self._files, self._work = line, files or line, work or line
 
     async def write(self, transition: Callable[Concatenate[Journal, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Carry out one of `labdaemon.journal.transitions`; it is on the disk when this returns.
@@ -64,6 +65,10 @@ class Recorder:
         """
         return await self._files.call(lambda: function(*args, **kwargs), UNLIMITED_S)
 
+    async def aside(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Do work that takes long, a plan above all, off the event loop and out of the way of frames and records."""
+        return await self._work.call(lambda: function(*args, **kwargs), UNLIMITED_S)
+
     async def settled(self) -> None:
         """Wait until writes that were asked for before are done, also those that their callers no longer wait for."""
         await self._line.call(lambda: None, UNLIMITED_S)
@@ -73,3 +78,4 @@ class Recorder:
         """End the threads; the journal itself is its owner's."""
         self._line.close()
         self._files.close()
+        self._work.close()

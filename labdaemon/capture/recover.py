@@ -7,6 +7,7 @@ frames are set aside and the shot is repeated, because nobody knows what the tab
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from labdaemon.capture.capture import Lab, complete
@@ -34,7 +35,7 @@ async def recover(lab: Lab) -> None:
         A camera that is needed for it does not answer; call again when it does.
     """
     if not lab.swept:
-        remove_parts(lab.data)
+        await lab.recorder.on_disk(remove_parts, lab.data)
         lab.swept = True
     on_cards = {name: await _list(lab, name) for name in lab.rig.cameras}
     await _clear_stored(lab, on_cards)
@@ -57,8 +58,7 @@ async def _clear_stored(lab: Lab, on_cards: dict[str, list[CardFile]]) -> None:
             frame = records.frame_of_card(lab.recorder.journal, name, file.name, file.captured_at)
             if frame is None or not frame.capture:
                 continue
-            copy = lab.data / frame.path
-            if copy.is_file() and copy.stat().st_size == frame.size_bytes:
+            if await lab.recorder.on_disk(_has_size, lab.data / frame.path, frame.size_bytes):
                 await clear_card(lab.rig.cameras[name], file)
 
 
@@ -89,12 +89,12 @@ async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[C
 
 async def _give_up(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> None:
     """Set the capture's frames aside, those on disk and those still on cards."""
-    remove_parts(capture_folder(lab.data, capture))
+    await lab.recorder.on_disk(remove_parts, capture_folder(lab.data, capture))
     moved: dict[str, str] = {}
     for frame in records.frames(lab.recorder.journal, capture.campaign, capture.name):
         path = set_aside_path(lab.data, capture.campaign, capture.name, frame.camera, frame.card_name)
-        if frame.state == "stored" and (lab.data / frame.path).exists():
-            move_durably(lab.data / frame.path, path)
+        if frame.state == "stored":
+            await lab.recorder.on_disk(_move_if_there, lab.data / frame.path, path)
         moved[frame.path] = str(path.relative_to(lab.data))
     for name, files in on_cards.items():
         for file in files:
@@ -113,6 +113,15 @@ async def _give_up(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[Ca
             )
     reason = "interrupted before its exposure was confirmed" if capture.state != "exposed" else "a frame is gone"
     await lab.recorder.write(transitions.discard_capture, capture.campaign, capture.name, reason, moved)
+
+
+def _has_size(path: Path, size_bytes: int) -> bool:
+    return path.is_file() and path.stat().st_size == size_bytes
+
+
+def _move_if_there(path: Path, to: Path) -> None:
+    if path.exists():
+        move_durably(path, to)
 
 
 async def _leave_alone(lab: Lab, on_cards: dict[str, list[CardFile]]) -> None:

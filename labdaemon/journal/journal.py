@@ -18,7 +18,7 @@ from typing import Any, Literal
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import knows_sync, sync_folder
 from labdaemon.journal.event import Event, EventText, event_text, within
-from labdaemon.journal.schema import APPLICATION_ID, TABLES, VERSION
+from labdaemon.journal.schema import APPLICATION_ID, LATER_INDEX, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 
 FILE_NAME = "journal.db"
@@ -235,6 +235,10 @@ class Journal:
                 self._writer.execute(f"PRAGMA synchronous = {synchronous}")
                 if fresh or not self._writer.execute("PRAGMA user_version").fetchone()[0]:
                     self._create()
+                with suppress(
+                    sqlite3.Error
+                ):  # a full or locked disk: without it the daemon is slower, and nothing else
+                    self._writer.execute(LATER_INDEX)
                 self._reader = sqlite3.connect(self.path, READ_BUSY_S, isolation_level=None, check_same_thread=False)
                 self._reader.execute("PRAGMA query_only = ON")
                 self.uuid: str = self._reader.execute("SELECT value FROM meta WHERE key = 'uuid'").fetchone()[0]

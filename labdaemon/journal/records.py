@@ -126,14 +126,12 @@ _FRAME = ", ".join(field.name for field in fields(FrameRecord))
 _CAPTURE = ", ".join("opening" if field.name == "opening_s" else field.name for field in fields(CaptureRecord))
 
 
-def campaigns(journal: Journal, *states: CampaignState) -> list[CampaignRecord]:
-    """Campaigns in these states (any, if none is given), in the order of submission."""
+def campaigns(journal: Journal, *states: CampaignState, limit: int = -1) -> list[CampaignRecord]:
+    """Campaigns in these states (any, if none is given), in the order of submission; at most `limit`, -1 for all."""
     marks = ",".join("?" * len(states))
     where = f"WHERE state IN ({marks})" if states else ""
-    return [
-        CampaignRecord(*row)
-        for row in journal.read(f"SELECT {_CAMPAIGN} FROM campaigns {where} ORDER BY number", *states)
-    ]
+    sql = f"SELECT {_CAMPAIGN} FROM campaigns {where} ORDER BY number LIMIT ?"
+    return [CampaignRecord(*row) for row in journal.read(sql, *states, limit)]
 
 
 def campaign(journal: Journal, id: str) -> CampaignRecord | None:
@@ -225,6 +223,12 @@ def stamp_of(journal: Journal, campaign: str) -> str | None:
     """What a campaign's result files were like when it ended, see `labdaemon.journal.transitions.keep_stamp`."""
     rows = journal.read("SELECT value FROM meta WHERE key = ?", f"results:{campaign}")
     return str(rows[0][0]) if rows else None
+
+
+def count_shots(journal: Journal, campaign: str, step: int, shot: int) -> int:
+    """How often a step's shot was begun, whatever became of it."""
+    sql = "SELECT count(*) FROM captures WHERE campaign = ? AND step = ? AND shot = ?"
+    return int(journal.read(sql, campaign, step, shot)[0][0])
 
 
 def count_campaigns(journal: Journal, state: CampaignState) -> int:

@@ -61,7 +61,9 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         return status_of(engine, place)
 
     publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
-    recorder = Recorder(held.journal, DeviceLine("journal"), publisher.wake, DeviceLine("data disk"))
+    recorder = Recorder(
+        held.journal, DeviceLine("journal"), publisher.wake, DeviceLine("data disk"), DeviceLine("plans")
+    )
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()

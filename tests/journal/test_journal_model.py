@@ -79,6 +79,8 @@ class JournalMachine(RuleBasedStateMachine):
 
     @rule(capture=captures)
     def fire(self, capture) -> None:
+        if self.capture_states[capture] == "discarded":
+            return  # nothing becomes of it any more
         transitions.fire_capture(
             self.journal, *capture, opened_at="now", opening_s={"left": 0.1}, phase_rad=None, sd_phase_rad=None
         )
@@ -86,6 +88,8 @@ class JournalMachine(RuleBasedStateMachine):
 
     @rule(capture=captures)
     def expose(self, capture) -> None:
+        if self.capture_states[capture] == "discarded":
+            return  # nothing becomes of it any more
         transitions.expose_capture(self.journal, *capture, {"left": ("DSC_1", "t")})
         self.capture_states[capture] = "exposed"
 
@@ -101,6 +105,8 @@ class JournalMachine(RuleBasedStateMachine):
 
     @rule(capture=captures)
     def complete(self, capture) -> None:
+        if self.capture_states[capture] == "discarded":
+            return  # nothing becomes of it any more
         transitions.complete_capture(self.journal, *capture, {})
         self.capture_states[capture] = "stored"
         self.kinds.append("capture.completed")
@@ -108,6 +114,8 @@ class JournalMachine(RuleBasedStateMachine):
     @rule(capture=captures)
     def record(self, capture) -> None:
         id, name = capture
+        if self.capture_states[capture] == "discarded":
+            return
         kept = transitions.record_result(
             self.journal, id, name, [name], envelope=[{"ax_mm": 0.25}], measurements=[], event={"capture": name}
         )
