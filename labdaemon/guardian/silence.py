@@ -1,0 +1,63 @@
+"""How long the daemon has been silent, counted only while the guardian itself could have heard it."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+LONGEST_TICK_S = 0.5
+"""A tick that took longer shows that the whole machine stood still (a paused virtual machine, a swap storm), not that
+the daemon was silent: it counts as this long."""
+SUSPENDED_S = 0.05
+"""A suspend moves the two clocks apart by more than this."""
+
+
+class Moment(NamedTuple):
+    """Both clocks at one moment: only ``boot_s`` advances while the machine is suspended."""
+
+    monotonic_s: float
+    boot_s: float
+
+
+def now() -> Moment:
+    """The present moment."""
+    return Moment(time.monotonic(), time.clock_gettime(time.CLOCK_BOOTTIME))
+
+
+class Silence:
+    """Counts the daemon's silence.
+
+    Parameters
+    ----------
+    began
+        Moment from which it counts.
+
+    Attributes
+    ----------
+    silent_s
+        Seconds of silence.
+    longest_s
+        Longest time between two heartbeats, seconds.
+    """
+
+    def __init__(self, began: Moment) -> None:
+        self._last = self._heard = began
+        self.silent_s = self.longest_s = 0.0
+
+    def tick(self, at: Moment) -> float:
+        """Time has passed; the silence so far, seconds. A suspend begins it anew: the daemon is asked once more."""
+        suspended_s = (at.boot_s - at.monotonic_s) - (self._last.boot_s - self._last.monotonic_s)
+        if suspended_s > SUSPENDED_S:
+            self.silent_s = 0.0
+            self._heard = at
+        else:
+            self.silent_s += min(at.monotonic_s - self._last.monotonic_s, LONGEST_TICK_S)
+        self._last = at
+        return self.silent_s
+
+    def heard(self, at: Moment) -> None:
+        """A heartbeat has come."""
+        self.tick(at)
+        self.longest_s = max(self.longest_s, at.monotonic_s - self._heard.monotonic_s)
+        self._heard = at
+        self.silent_s = 0.0

@@ -1,0 +1,158 @@
+"""The guardian's life: hear the daemon's heartbeat, and stop the table when it ceases.
+
+Lines of JSON on standard input: first ``{"recipe": …, "silence_s": …, "patience_s": …, "report": …, "rig": …}``, then
+heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``. On standard output each heartbeat is answered
+by ``{"heard": n, "longest_s": …}``, so that the daemon knows that it is guarded.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+from typing import Any
+
+from labdaemon.guardian.recipe import StopRecipe, from_json, read_message
+from labdaemon.guardian.report import Reporter
+from labdaemon.guardian.rescue import EMERGENCY, Outcome, rescue
+from labdaemon.guardian.silence import Moment, Silence, now
+from labdaemon.guardian.ward import Ward
+
+TICK_S = 0.1
+GONE_S = 0.2
+"""A daemon whose end of the pipe is closed is ending; it is given so long to be gone."""
+UNSTOPPABLE = {signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
+HAND_OVER = signal.SIGUSR1
+"""A newer daemon that waits sends this: after some seconds without success the guardian leaves the table to it."""
+
+
+class Watch:
+    """Listens to one daemon.
+
+    Parameters
+    ----------
+    setup
+        The first line of the pipe.
+    ward
+        The daemon.
+    """
+
+    def __init__(self, setup: dict[str, Any], ward: Ward) -> None:
+        self.recipe: StopRecipe = from_json(setup["recipe"])
+        self.silence_s, self.patience_s = float(setup["silence_s"]), float(setup["patience_s"])
+        self.reporter = Reporter(setup["rig"], setup["report"])
+        self._ward, self._moving, self._bye, self._rest = ward, True, False, b""
+        self._silence = Silence(now())
+        self._wanted = False
+
+    def hand_over(self, *_: object) -> None:
+        """Signal handler: a newer daemon waits."""
+        self._wanted = True
+
+    def run(self, source: int, answers: int) -> int:
+        """Watch until the daemon says goodbye or is gone; the exit status.
+
+        Parameters
+        ----------
+        source, answers
+            Descriptors of the two pipes.
+        """
+        reason = self._until_needed(source, answers)
+        if reason is None:
+            return 0
+        return self._rescue(reason)
+
+    def feed(self, data: bytes, at: Moment) -> list[int]:
+        """Take bytes of the pipe; the numbers of the heartbeats that they hold."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        beats = []
+        for message in map(read_message, lines):
+            if message.get("bye") is True:
+                self._bye = True
+            if isinstance(message.get("moving"), bool):
+                self._moving = message["moving"]
+            if isinstance(message.get("beat"), int):
+                self._silence.heard(at)
+                beats.append(message["beat"])
+        return beats
+
+    def _until_needed(self, source: int, answers: int) -> str | None:
+        """Hear heartbeats; why they ceased, None after a goodbye."""
+        poll = select.poll()
+        poll.register(source, select.POLLIN | select.POLLHUP)
+        while True:
+            if poll.poll(1000 * TICK_S):
+                data = os.read(source, 1 << 16)
+                beats = self.feed(data, now())
+                if self._bye:
+                    return None
+                if not data:
+                    return "ended without bringing the table to rest"
+                _answer(answers, beats, self._silence.longest_s)
+            elif self._silence.tick(now()) > self.silence_s and self._moving and not poll.poll(0):
+                return f"has been silent for {self._silence.silent_s:.1f} s with the table moving"
+
+    def _rescue(self, reason: str) -> int:
+        was_killed = self._ward.end(GONE_S if reason.startswith("ended") else 0.0)
+        why = f"the daemon (process {self._ward.pid}) {reason}{' and was killed' if was_killed else ''}"
+        self.reporter.say(f"{why}; stopping {self.recipe.device}")
+        outcome = rescue(self.recipe, self.reporter, patience_s=self.patience_s, is_wanted=lambda: self._wanted)
+        self.reporter.conclude(f"{why}; {_in_words(outcome)}", {"why": why, **outcome._asdict()})
+        return 0 if outcome.is_at_rest else 1
+
+
+def _in_words(outcome: Outcome) -> str:
+    if outcome.is_at_rest:
+        return f"the table was seen at rest {outcome.after_s:.2f} s later (try {outcome.tries})"
+    return f"{EMERGENCY} ({outcome.trouble}; {outcome.tries} tries in {outcome.after_s:.0f} s, no more are made here)"
+
+
+def _answer(answers: int, beats: list[int], longest_s: float) -> None:
+    if beats:
+        try:
+            os.write(answers, json.dumps({"heard": beats[-1], "longest_s": round(longest_s, 3)}).encode() + b"\n")
+        except OSError:
+            pass  # it does not read, or is gone: that is heard on the other pipe
+
+
+def ignore_signals() -> None:
+    """What ends the daemon and its terminal must not end the guardian."""
+    for number in signal.valid_signals() - UNSTOPPABLE - {signal.SIGCHLD}:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def read_setup(source: int) -> dict[str, Any]:
+    """The first line; empty when the daemon was gone before it had sent one."""
+    data = b""
+    while not data.endswith(b"\n"):
+        more = os.read(source, 1)  # a byte at a time: what follows is the heartbeats'
+        if not more:
+            return {}
+        data += more
+    return read_message(data)
+
+
+def main() -> int:
+    """Guard the parent process; the exit status is 0 when the table rests as far as is known."""
+    ward = Ward(os.getppid())
+    ignore_signals()
+    os.chdir("/")  # keeps no file system busy
+    setup = read_setup(0)
+    if not setup:
+        return 0  # nothing has moved yet
+    watch = Watch(setup, ward)
+    signal.signal(HAND_OVER, watch.hand_over)
+    for lock in setup["locks"]:
+        _sign(lock, setup["rig"])
+    os.set_blocking(1, False)
+    return watch.run(0, 1)
+
+
+def _sign(lock: int, rig: str) -> None:
+    """Write into an inherited lock file who holds it now."""
+    note = {"pid": os.getpid(), "role": "guardian", "commands": "", "config": rig}
+    try:
+        os.pwrite(lock, json.dumps(note).encode().ljust(1024), 0)
+    except OSError:
+        pass  # another user's file: the holder is not named, the lock holds all the same

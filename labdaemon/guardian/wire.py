@@ -1,0 +1,168 @@
+"""The shaker's wire as the guardian uses it: one hard stop and its confirmation, over pyserial."""
+
+from __future__ import annotations
+
+import re
+import termios
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import serial
+
+from labdaemon.guardian.recipe import Exchange, StopRecipe
+
+IDENTIFY_TRIES = 5
+CONFIRM_TRIES = 3
+"""Questions whose answer is not the expected one are asked so often in one try."""
+RECHECK_S = 0.3
+"""What the dead daemon had still sent through a serial server can arrive after the stop, so rest is seen twice, so far
+apart."""
+LONGEST_LINE = 4096
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+FAULTS = (serial.SerialException, OSError, termios.error, ValueError, TypeError, AttributeError)
+"""What pyserial raises for a port that is gone; the last two are its own when a port goes during a call."""
+
+
+class NotAtRest(Exception):
+    """The shaker did not confirm; the text says what it did instead."""
+
+
+class Port(Protocol):
+    """What is used of pyserial."""
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to `size` bytes within the port's own short timeout."""
+        ...
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send bytes."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back."""
+        ...
+
+
+def open_port(recipe: StopRecipe) -> Port:
+    """Open the shaker's port. No lock is asked for: a stop must not wait for who holds the port."""
+    is_rfc2217 = recipe.port.lower().startswith("rfc2217:")
+    port: Port = serial.serial_for_url(
+        recipe.port,
+        timeout=0.02,
+        write_timeout=None if is_rfc2217 else 1.0,  # pyserial's RFC 2217 port has none
+        **recipe.setup._asdict(),
+    )
+    return port
+
+
+def stop_shaker(
+    recipe: StopRecipe,
+    open_port: Callable[[StopRecipe], Port] = open_port,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """One try: open the port, stop hard, and see the table at rest, twice.
+
+    Raises
+    ------
+    NotAtRest
+        The port does not open, the wire is silent, or the shaker says that it is not at rest.
+    """
+    try:
+        port = open_port(recipe)
+    except FAULTS as exc:
+        raise NotAtRest(f"port {recipe.port} does not open ({exc})") from exc
+    try:
+        wire = _Wire(port, recipe)
+        wire.stop()
+        wire.confirm()
+        sleep(RECHECK_S)
+        wire.confirm()
+    except FAULTS as exc:
+        raise NotAtRest(f"connection on {recipe.port} lost ({exc})") from exc
+    finally:
+        try:
+            port.close()
+        except FAULTS:
+            pass  # the other side was faster: there is nothing left to give back
+
+
+class _Wire:
+    """An open port."""
+
+    def __init__(self, port: Port, recipe: StopRecipe) -> None:
+        self._port, self._recipe = port, recipe
+        self._buffer = b""
+
+    def stop(self) -> None:
+        """Send all that stops, first without a word, then waiting for what is answered."""
+        for exchange in self._recipe.stop:
+            self._port.write(exchange.send)
+        for exchange in self._recipe.stop:
+            if exchange.answer is not None:
+                self._port.write(exchange.send)
+                self._read_line(exchange.within_s)  # a wrong answer changes nothing: `confirm` decides
+
+    def confirm(self) -> None:
+        """See the table at rest."""
+        if self._recipe.identify is not None:
+            self._find_step(self._recipe.identify)
+        for exchange in self._recipe.confirm:
+            self._confirm(exchange)
+
+    def _find_step(self, identify: Exchange) -> None:
+        before: str | None = None
+        for _ in range(IDENTIFY_TRIES):
+            self._port.write(identify.send)
+            answer = self._read_line(identify.within_s)
+            if answer is not None and answer == before and not self._buffer:
+                return
+            before = answer
+        raise NotAtRest(
+            f"no answer on {self._recipe.port}"
+            if before is None
+            else f"answers out of step on {self._recipe.port} ({before[:40]!r})"
+        )
+
+    def _confirm(self, exchange: Exchange) -> None:
+        answer: str | None = None
+        for _ in range(CONFIRM_TRIES):
+            self._port.write(exchange.send)
+            answer = self._read_line(exchange.within_s)
+            if answer is not None and is_expected(exchange, answer):
+                return
+            for stop in self._recipe.stop:
+                self._port.write(stop.send)
+                if stop.answer is not None:
+                    self._read_line(stop.within_s)
+        if answer is None:
+            raise NotAtRest(f"no answer on {self._recipe.port}")
+        raise NotAtRest(f"answers {answer[:40]!r} to {exchange.send!r}, which is not rest")
+
+    def _read_line(self, within_s: float) -> str | None:
+        """The next line that is not empty; None when none came in time."""
+        deadline = time.monotonic() + within_s
+        while True:
+            while self._recipe.line_end in self._buffer:
+                line, _, self._buffer = self._buffer.partition(self._recipe.line_end)
+                text = line.strip(b" \t\r\n\x00").decode("latin-1")
+                if text:
+                    return text
+            if len(self._buffer) > LONGEST_LINE:
+                self._buffer = b""
+            if time.monotonic() > deadline:
+                return None
+            self._buffer += self._port.read(1)
+            waiting = getattr(self._port, "in_waiting", 0)
+            if waiting:
+                self._buffer += self._port.read(waiting)
+
+
+def is_expected(exchange: Exchange, answer: str) -> bool:
+    """Whether an answer is the expected one."""
+    if exchange.answer is not None and not re.fullmatch(exchange.answer, answer, re.IGNORECASE):
+        return False
+    if exchange.at_most is None:
+        return True
+    number = NUMBER.search(answer)
+    return number is not None and float(number[0]) <= exchange.at_most
