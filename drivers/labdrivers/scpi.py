@@ -19,9 +19,11 @@ from pydantic import Field
 from labdaemon.campaign.limits import ShakerLimits, crossed_amplitude, crossed_frequency
 from labdaemon.capture.devices import ShakerState
 from labdaemon.errors import ConfigError, DeviceError, DeviceRefused, LimitError, ProtocolError, TransportError
+from labdaemon.guardian.recipe import StopRecipe
 from labdrivers.drive_table import DrivePoint, DriveTable, read_drive_csv
 from labdrivers.scpi_commands import DIALECTS, LEVELS, Commands
 from labdrivers.scpi_link import ScpiLink
+from labdrivers.scpi_recipe import stop_recipe
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings
 
@@ -209,6 +211,10 @@ class ScpiShaker:
         self._halt.set()
         self._link.tell_at_once(self._off_command)
         self._switch_off()
+
+    def stop_recipe(self) -> StopRecipe | None:
+        """`stop_now` as data for the guardian; None for a simulated device of this process."""
+        return stop_recipe(self.name, self._settings, self._commands, self._off_command, self._lowest_level)
 
     @property
     def _off_command(self) -> str:

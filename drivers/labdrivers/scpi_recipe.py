@@ -9,6 +9,8 @@ from labdaemon.guardian.recipe import Exchange, PortSetup, StopRecipe
 from labdrivers.scpi_commands import Commands
 from labdrivers.serial_line import URL_GROUP, PortSettings
 
+LONGEST_ANSWER_S = 3.0
+"""A try that gets no answer in this time is given up, and the port is opened anew."""
 ABOVE_LOWEST = 1.01
 """A level up to this times the lowest is the lowest, as `ScpiShaker.state` reads it."""
 
@@ -30,7 +32,7 @@ def stop_recipe(
     scheme, separator, _ = settings.port.lower().partition("://")
     if separator and (scheme == "loop" or entry_points(group=URL_GROUP, name=scheme)):
         return None
-    within_s = min(settings.timeout_s, 1.0)
+    within_s = min(settings.timeout_s, LONGEST_ANSWER_S)
     handshake = settings.handshake
     return StopRecipe(
         device=device,

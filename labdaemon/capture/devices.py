@@ -14,6 +14,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from labdaemon.guardian.recipe import StopRecipe
+
 
 @dataclass(frozen=True, slots=True)
 class ShakerState:
@@ -52,6 +54,15 @@ class Shaker(Protocol):
 
     def close(self) -> None:
         """Give the wire back. Does not stop the table: that is the caller's duty, before."""
+        ...
+
+
+@runtime_checkable
+class StopRecipeSource(Protocol):
+    """A shaker driver that can say as data how its device is stopped, for a guardian that outlives the daemon."""
+
+    def stop_recipe(self) -> StopRecipe | None:
+        """Bytes and answers of a hard stop, from the settings alone; None where no other process reaches the port."""
         ...
 
 

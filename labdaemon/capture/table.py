@@ -56,6 +56,10 @@ class Table:
         """What the gauges said when it had settled there."""
         self.on_stop: Callable[[], None] = lambda: None
         """Called when a stop is about to be sent."""
+        self.before_motion: Callable[[], None] = lambda: None
+        """Called before the first command that moves it is sent; what it raises keeps the table at rest."""
+        self.may_move = True
+        """False once rest was confirmed, until something is sent that moves it: what a guardian goes by."""
 
     async def shake(self, excitation: Excitation) -> Settled:
         """Bring table and structure to this excitation and wait until they have settled.
@@ -108,6 +112,7 @@ class Table:
         self.on_stop()
         async with self._stopping:
             rest = await bring_to_rest(self._rig, at_once=at_once)
+            self.may_move = self.excitation is not None
         if rest.by == "enable":
             self.enabled = False
         return rest
@@ -143,6 +148,8 @@ class Table:
         async with self._stopping:
             pass  # a stop that is under way comes first
         self._refuse_if_stopped(stops)
+        self.before_motion()
+        self.may_move = True
         await self._enable()
         self.excitation, self.settled = excitation, None
         self._last_hz = excitation.frequency_hz

@@ -32,7 +32,7 @@ class Exchange(NamedTuple):
         Regular expression that the whole answer (a line without its end, as Latin-1) must match, in any case of
         letters; None where the device answers nothing.
     at_most
-        Upper limit of the answer's first number; None for no limit.
+        Upper limit of the size of the answer's first number; None for no limit.
     within_s
         Longest wait for the answer, seconds.
     """

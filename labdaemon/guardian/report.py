@@ -11,6 +11,7 @@ import queue
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 LONGEST_WAIT_S = 2.0
@@ -54,10 +55,8 @@ class Reporter:
 
     def _log(self, text: str) -> None:
         line = f"labdaemon guardian ({self._rig}): {text}"
-        try:
+        with suppress(OSError):  # the terminal has gone; the system's log has it
             os.write(2, line.encode(errors="replace") + b"\n")
-        except OSError:
-            pass  # the terminal has gone; the system's log has it
         if "JOURNAL_STREAM" not in os.environ:  # there standard error is the system's log
             import syslog
 

@@ -11,7 +11,7 @@ from labdaemon.guardian.recipe import StopRecipe
 from labdaemon.guardian.report import Reporter
 from labdaemon.guardian.wire import NotAtRest, stop_shaker
 
-TRY_S = 8.0
+TRY_S = 15.0
 """A try that takes longer hangs in the system (a driver that waits for its adapter): it is left and another begins."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.05, 1.0
 REPEAT_S = 10.0

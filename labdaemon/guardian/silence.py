@@ -37,7 +37,7 @@ class Silence:
     silent_s
         Seconds of silence.
     longest_s
-        Longest time between two heartbeats, seconds.
+        Longest time between two heartbeats that counted, seconds.
     """
 
     def __init__(self, began: Moment) -> None:
@@ -55,9 +55,10 @@ class Silence:
         self._last = at
         return self.silent_s
 
-    def heard(self, at: Moment) -> None:
-        """A heartbeat has come."""
+    def heard(self, at: Moment, *, counts: bool = True) -> None:
+        """A heartbeat has come; the time since the last one is kept if it counts."""
         self.tick(at)
-        self.longest_s = max(self.longest_s, at.monotonic_s - self._heard.monotonic_s)
+        if counts:
+            self.longest_s = max(self.longest_s, at.monotonic_s - self._heard.monotonic_s)
         self._heard = at
         self.silent_s = 0.0

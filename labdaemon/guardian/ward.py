@@ -24,10 +24,8 @@ class Ward:
     def __init__(self, pid: int) -> None:
         self.pid = pid
         self._file: int | None = None
-        try:
+        with suppress(OSError, AttributeError):  # an old kernel: the parent's id serves, as long as it is our parent
             self._file = os.pidfd_open(pid)
-        except (OSError, AttributeError):
-            pass  # an old kernel: the parent's id is used, as long as it is our parent
         if os.getppid() != pid:
             self.close()
 

@@ -11,6 +11,7 @@ import json
 import os
 import select
 import signal
+from contextlib import suppress
 from typing import Any
 
 from labdaemon.guardian.recipe import StopRecipe, from_json, read_message
@@ -70,11 +71,12 @@ class Watch:
         for message in map(read_message, lines):
             if message.get("bye") is True:
                 self._bye = True
+            if isinstance(message.get("beat"), int):
+                # Long work at rest (imports, a listing) is no gap that matters.
+                self._silence.heard(at, counts=self._moving and message.get("moving") is True)
+                beats.append(message["beat"])
             if isinstance(message.get("moving"), bool):
                 self._moving = message["moving"]
-            if isinstance(message.get("beat"), int):
-                self._silence.heard(at)
-                beats.append(message["beat"])
         return beats
 
     def _until_needed(self, source: int, answers: int) -> str | None:
@@ -110,10 +112,8 @@ def _in_words(outcome: Outcome) -> str:
 
 def _answer(answers: int, beats: list[int], longest_s: float) -> None:
     if beats:
-        try:
+        with suppress(OSError):  # it does not read, or is gone: that is heard on the other pipe
             os.write(answers, json.dumps({"heard": beats[-1], "longest_s": round(longest_s, 3)}).encode() + b"\n")
-        except OSError:
-            pass  # it does not read, or is gone: that is heard on the other pipe
 
 
 def ignore_signals() -> None:
@@ -143,16 +143,5 @@ def main() -> int:
         return 0  # nothing has moved yet
     watch = Watch(setup, ward)
     signal.signal(HAND_OVER, watch.hand_over)
-    for lock in setup["locks"]:
-        _sign(lock, setup["rig"])
     os.set_blocking(1, False)
     return watch.run(0, 1)
-
-
-def _sign(lock: int, rig: str) -> None:
-    """Write into an inherited lock file who holds it now."""
-    note = {"pid": os.getpid(), "role": "guardian", "commands": "", "config": rig}
-    try:
-        os.pwrite(lock, json.dumps(note).encode().ljust(1024), 0)
-    except OSError:
-        pass  # another user's file: the holder is not named, the lock holds all the same

@@ -6,6 +6,7 @@ import re
 import termios
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 import serial
@@ -14,7 +15,9 @@ from labdaemon.guardian.recipe import Exchange, StopRecipe
 
 IDENTIFY_TRIES = 5
 CONFIRM_TRIES = 3
-"""Questions whose answer is not the expected one are asked so often in one try."""
+"""The answer that means rest is asked for so often in one try, each time after another stop."""
+QUIET_S, LONGEST_DRAIN_S = 0.05, 0.4
+"""After a stop the wire is read until it was quiet for so long, but not for ever."""
 RECHECK_S = 0.3
 """What the dead daemon had still sent through a serial server can arrive after the stop, so rest is seen twice, so far
 apart."""
@@ -81,10 +84,8 @@ def stop_shaker(
     except FAULTS as exc:
         raise NotAtRest(f"connection on {recipe.port} lost ({exc})") from exc
     finally:
-        try:
+        with suppress(*FAULTS):  # the other side was faster: there is nothing left to give back
             port.close()
-        except FAULTS:
-            pass  # the other side was faster: there is nothing left to give back
 
 
 class _Wire:
@@ -95,49 +96,57 @@ class _Wire:
         self._buffer = b""
 
     def stop(self) -> None:
-        """Send all that stops, first without a word, then waiting for what is answered."""
+        """Send all that stops, without a pause, and throw away what is answered: `confirm` decides."""
         for exchange in self._recipe.stop:
             self._port.write(exchange.send)
-        for exchange in self._recipe.stop:
-            if exchange.answer is not None:
-                self._port.write(exchange.send)
-                self._read_line(exchange.within_s)  # a wrong answer changes nothing: `confirm` decides
+        end = time.monotonic() + LONGEST_DRAIN_S
+        quiet_at = time.monotonic() + QUIET_S
+        while time.monotonic() < min(end, quiet_at):
+            if self._port.read(256):
+                quiet_at = time.monotonic() + QUIET_S
+        self._buffer = b""
 
     def confirm(self) -> None:
-        """See the table at rest."""
+        """See the table at rest; what is not at rest is stopped again."""
+        trouble = ""
+        for _ in range(CONFIRM_TRIES):
+            trouble = self._unconfirmed()
+            if not trouble:
+                return
+            self.stop()
+        raise NotAtRest(trouble)
+
+    def _unconfirmed(self) -> str:
+        """What is answered that is not rest; empty at rest."""
         if self._recipe.identify is not None:
             self._find_step(self._recipe.identify)
         for exchange in self._recipe.confirm:
-            self._confirm(exchange)
+            self._port.write(exchange.send)
+            answer = self._read_line(exchange.within_s)
+            if answer is None:
+                raise NotAtRest(f"no answer on {self._recipe.port}")
+            if not is_expected(exchange, answer):
+                return f"answers {answer[:40]!r} to {exchange.send!r}, which is not rest"
+        return ""
 
     def _find_step(self, identify: Exchange) -> None:
+        """Ask who is there until the same answer came twice running; acknowledgements are no name."""
         before: str | None = None
         for _ in range(IDENTIFY_TRIES):
             self._port.write(identify.send)
             answer = self._read_line(identify.within_s)
-            if answer is not None and answer == before and not self._buffer:
+            while answer is not None and self._is_acknowledgement(answer):
+                answer = self._read_line(identify.within_s)
+            if answer is None:
+                raise NotAtRest(f"no answer on {self._recipe.port}")
+            if answer == before and not self._buffer:
                 return
             before = answer
-        raise NotAtRest(
-            f"no answer on {self._recipe.port}"
-            if before is None
-            else f"answers out of step on {self._recipe.port} ({before[:40]!r})"
-        )
+        raise NotAtRest(f"answers out of step on {self._recipe.port} ({(before or '')[:40]!r})")
 
-    def _confirm(self, exchange: Exchange) -> None:
-        answer: str | None = None
-        for _ in range(CONFIRM_TRIES):
-            self._port.write(exchange.send)
-            answer = self._read_line(exchange.within_s)
-            if answer is not None and is_expected(exchange, answer):
-                return
-            for stop in self._recipe.stop:
-                self._port.write(stop.send)
-                if stop.answer is not None:
-                    self._read_line(stop.within_s)
-        if answer is None:
-            raise NotAtRest(f"no answer on {self._recipe.port}")
-        raise NotAtRest(f"answers {answer[:40]!r} to {exchange.send!r}, which is not rest")
+    def _is_acknowledgement(self, answer: str) -> bool:
+        expected = [exchange for exchange in self._recipe.stop if exchange.answer is not None]
+        return any(is_expected(exchange, answer) for exchange in expected)
 
     def _read_line(self, within_s: float) -> str | None:
         """The next line that is not empty; None when none came in time."""
@@ -165,4 +174,4 @@ def is_expected(exchange: Exchange, answer: str) -> bool:
     if exchange.at_most is None:
         return True
     number = NUMBER.search(answer)
-    return number is not None and float(number[0]) <= exchange.at_most
+    return number is not None and abs(float(number[0])) <= exchange.at_most

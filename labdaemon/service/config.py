@@ -20,6 +20,7 @@ from labdaemon.service.config_sections import (
     ControlSection,
     DriverSection,
     GaugeSection,
+    GuardianSection,
     InterlocksSection,
     Name,
     ProcessingSection,
@@ -55,6 +56,7 @@ class RigConfig(Section):
     targets: TargetsSection
     control: ControlSection
     processing: ProcessingSection = ProcessingSection()
+    guardian: GuardianSection = GuardianSection()
     interlocks: InterlocksSection = InterlocksSection()
     source: Annotated[Path, Field(exclude=True, alias=" source")]
 
@@ -84,7 +86,7 @@ class RigConfig(Section):
     @property
     def digest(self) -> str:
         """SHA-256 of what results and safety depend on; addresses, folders and worker counts may change freely."""
-        aside: Any = {"service": True, "source": True, "processing": {"workers", "deadline_s"}}
+        aside: Any = {"service": True, "source": True, "guardian": True, "processing": {"workers", "deadline_s"}}
         parts = self.model_dump(mode="json", exclude=aside)
         control = self.path(self.control.file)
         parts["control_csv"] = hashlib.sha256(control.read_bytes()).hexdigest() if control.exists() else None

@@ -174,6 +174,15 @@ class ControlSection(Section):
     """Their surveyed centres (``name,x_mm,y_mm,z_mm,sd_mm``), relative to the rig file."""
 
 
+class GuardianSection(Section):
+    """The process that stops the table when the daemon cannot."""
+
+    silence_s: Annotated[float, Field(ge=1, le=60, strict=True)] = 2.0
+    """With the table moving, a daemon that is silent for so long is ended and the table stopped."""
+    patience_s: Seconds = 600.0
+    """How long it goes on trying to stop a table that does not confirm."""
+
+
 class ProcessingSection(Section):
     """How frames are measured."""
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import asyncio
 import atexit
 import logging
-import signal
 from collections.abc import Callable
+from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,9 @@ from labdaemon.journal.storage import DataLock
 from labdaemon.service.config import RigConfig
 from labdaemon.service.desk import Desk
 from labdaemon.service.devices import build_rig, connect_stoppers
+from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
+from labdaemon.service.guarding import Guardian
+from labdaemon.service.signals import ending_signals, exit_status, ignore_suspension, name_of
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.commands import CommandServer
 
@@ -33,9 +36,6 @@ if TYPE_CHECKING:
     from labdaemon.processing import WorkerPool
 
 log = logging.getLogger(__name__)
-
-INTERRUPTED = 130
-TERMINATED = 0
 
 Ready = Callable[[str, str], None]
 """Called with the addresses of commands and events once both are served."""
@@ -77,6 +77,7 @@ class Held:
     journal: Journal
     commands: CommandServer
     desk: Desk
+    guardian: Guardian | None
     identities: dict[str, str]
     ready: Ready
     measurer: MakeMeasurer | None
@@ -108,12 +109,14 @@ async def _run(config: RigConfig, options: Options, ready: Ready, measurer: Make
     loop = asyncio.get_running_loop()
     end: asyncio.Future[int] = loop.create_future()
 
-    def ask_to_end(status: int) -> None:
+    def ask_to_end(number: int) -> None:
         if not end.done():
-            end.set_result(status)
+            log.info("%s: the table comes to rest, then the daemon ends", name_of(number))
+            end.set_result(exit_status(number))
 
-    for number, status in ((signal.SIGINT, INTERRUPTED), (signal.SIGTERM, TERMINATED)):
-        loop.add_signal_handler(number, ask_to_end, status)
+    for number in ending_signals():
+        loop.add_signal_handler(number, ask_to_end, number)
+    ignore_suspension()
     data = (options.data or config.data).resolve()
     rig = build_rig(config)
     lock = DataLock(data)
@@ -121,7 +124,8 @@ async def _run(config: RigConfig, options: Options, ready: Ready, measurer: Make
     commands = CommandServer(config.service.commands, desk.handlers(), desk)
     try:
         commands.bind()
-        return await _hold_table(config, options, data, rig, lock, commands, desk, ready, measurer, end)
+        async with AsyncExitStack() as afterwards:
+            return await _hold_table(config, options, data, rig, lock, commands, desk, ready, measurer, end, afterwards)
     finally:
         commands.close()
         lock.release()
@@ -138,14 +142,18 @@ async def _hold_table(
     ready: Ready,
     measurer: MakeMeasurer | None,
     end: asyncio.Future[int],
+    afterwards: AsyncExitStack,
 ) -> int:
-    """From the first word to the table until the last."""
+    """From the first word to the table until the last; the guardian is let go `afterwards`."""
     clock = SystemClock()
     table = Table(rig, clock, config.interlocks.gauge_disagreement)
     last_resort = _last_resort(rig)
+    if config.shaker is not None:
+        await asyncio.to_thread(wait_for_guardian, config.shaker.port)
     try:
         identities = await connect_stoppers(rig)
         atexit.register(last_resort)
+        guardian = await afterwards.enter_async_context(guarded_table(config, rig, table, data, clock))
         rest = await bring_to_rest(rig, at_once=True)
         log.info("table at rest (%s)", rest.by)
         journal = Journal(data, clock, replace_damaged=options.new_journal, lock=lock)
@@ -153,7 +161,9 @@ async def _hold_table(
             # Loading what measures takes longer than bringing the table to rest, so it comes after.
             from labdaemon.service.serving import serve
 
-            held = Held(config, options, data, clock, rig, table, journal, commands, desk, identities, ready, measurer)
+            held = Held(
+                config, options, data, clock, rig, table, journal, commands, desk, guardian, identities, ready, measurer
+            )
             return await serve(held, end)
         finally:
             journal.close()

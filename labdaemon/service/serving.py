@@ -21,11 +21,12 @@ from labdaemon.campaign.steps import Plan
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.lines import DeviceLine
 from labdaemon.capture.recorder import Recorder
-from labdaemon.errors import InterlockError, StorageUnavailable
+from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable
 from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import Held
 from labdaemon.service.devices import camera_choices, connect_others, exposure_steps
+from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
 from labdaemon.service.measuring import PoolMeasurer
 from labdaemon.service.status import place_of, status_of
@@ -58,7 +59,8 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
     place = place_of(config.source, held.data)
 
     def status() -> dict[str, Any]:
-        return status_of(engine, place)
+        guardian = held.guardian.describe() if held.guardian is not None else None
+        return status_of(engine, place) | {"guardian": guardian}
 
     publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
     recorder = Recorder(
@@ -70,6 +72,7 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         identities = held.identities | await connect_others(held.rig)
         steps = await exposure_steps(held.rig)
         engine = _engine(held, recorder, pool, partial(_plan, held, steps))
+        await _heed_guardian(held, engine)
         rig = _describe(held, identities, publisher.address)
         submitted = partial(_plan, held, steps, check_disk=True)
         held.desk.open(handlers(engine, submitted, status, rig), held.journal)
@@ -78,6 +81,23 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         publisher.close()
         pool.close()
         recorder.close()
+
+
+async def _heed_guardian(held: Held, engine: Engine) -> None:
+    """Pause when the guardian is lost, and report what an earlier daemon's guardian did."""
+    report = take_report(held.data / REPORT_NAME)
+    if report is not None:
+        await engine.reporter.fault(
+            DeviceError(report, device="guardian"), campaign=None, step=None, action="look why the daemon ended"
+        )
+    if held.guardian is None:
+        return
+
+    def lost(reason: str) -> None:
+        log.error("%s", reason)
+        engine.trip(InterlockError(reason))
+
+    held.guardian.on_lost = lost
 
 
 async def _run_parts(

@@ -144,9 +144,14 @@ class ShakerLock:
         """Whether this process holds it."""
         return bool(self._files)
 
-    def note(self, *, commands: str) -> None:
-        """Say where this process takes commands."""
-        self._note = LockHolder(self._note.pid, self.role, commands, self._note.config)
+    @property
+    def descriptors(self) -> list[int]:
+        """Its open files: a process that inherits them holds the lock until it ends, too."""
+        return list(self._files)
+
+    def note(self, *, commands: str = "", pid: int | None = None) -> None:
+        """Say where the holder takes commands, and who it is where another process inherits the lock."""
+        self._note = LockHolder(pid or self._note.pid, self.role, commands, self._note.config)
         self._write()
 
     def release(self) -> None:
