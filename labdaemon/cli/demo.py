@@ -58,7 +58,7 @@ def demo(out: Path | None, campaign: Path | None) -> None:
 
     text = load_campaign(campaign if campaign is not None else THREE_MODES).toml
     out = free_folder(out)
-    signal.signal(signal.SIGTERM, _interrupt)
+    end_on_signals()
     try:
         _demo(out, text, attended=campaign is not None)
     except LabdaemonError as exc:
@@ -120,8 +120,22 @@ def _run_campaign(lab: Lab, text: str, *, attended: bool) -> tuple[Path, list[di
     return Path(submitted["folder"]), envelopes
 
 
-def _interrupt(number: int, frame: Any) -> NoReturn:
-    raise KeyboardInterrupt
+def end_on_signals() -> None:
+    """End rig and daemon in order on every signal that ends a process, once: a second one must not cut that short."""
+    from labdaemon.service.signals import ending_signals, exit_status, ignore_suspension
+
+    numbers = ending_signals()
+
+    def end(number: int, _: object) -> NoReturn:
+        for each in numbers:
+            signal.signal(each, signal.SIG_IGN)
+        if number in (signal.SIGINT, signal.SIGTERM):
+            raise KeyboardInterrupt
+        raise SystemExit(exit_status(number))
+
+    for number in numbers:
+        signal.signal(number, end)
+    ignore_suspension()
 
 
 def free_folder(asked: Path | None) -> Path:

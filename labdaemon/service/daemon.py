@@ -27,7 +27,7 @@ from labdaemon.service.desk import Desk
 from labdaemon.service.devices import build_rig, connect_stoppers
 from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
 from labdaemon.service.guarding import Guardian
-from labdaemon.service.signals import ending_signals, exit_status, ignore_suspension, name_of
+from labdaemon.service.signals import ending_signals, exit_status, forbid_core_dumps, ignore_suspension, name_of
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.commands import CommandServer
 
@@ -117,6 +117,7 @@ async def _run(config: RigConfig, options: Options, ready: Ready, measurer: Make
     for number in ending_signals():
         loop.add_signal_handler(number, ask_to_end, number)
     ignore_suspension()
+    forbid_core_dumps()
     data = (options.data or config.data).resolve()
     rig = build_rig(config)
     lock = DataLock(data)

@@ -56,6 +56,13 @@ def test_it_waits_for_ready_is_watched_and_restarted_and_ends_at_rest():
     assert "safe-stop" in found["ExecStopPost"]
 
 
+def test_the_guardian_may_finish_when_the_daemon_is_gone():
+    found = settings()
+    assert found["KillMode"] == "process"  # mixed would kill it as soon as the main process has died
+    assert "SendSIGKILL" not in found  # a daemon that hangs at its end is still killed
+    assert found["OOMPolicy"] == "continue"
+
+
 def test_it_is_never_given_up():
     text = SERVICE.read_text()
     assert "\nStartLimitIntervalSec=0\n" in text
