@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from labdaemon.capture.devices import GaugeReading
+from labdaemon.capture.devices import GaugeReading, SineReading
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
 from labdrivers.gauge_stream import LineParser, Parser, RecordParser
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings
-from labdrivers.sine_fit import FloatArray, change_per_cycle, fit_sine
+from labdrivers.sine_fit import FloatArray, change_per_cycle, fit_free_sine, fit_sine
 
 KEEP_S = 60.0
 FIRST_READING_S = 2.0
@@ -172,6 +172,36 @@ class LineGauge:
         sine = fit_sine(t[usable], y[usable], frequency_hz)
         change = change_per_cycle(t[usable], y[usable], frequency_hz)
         return GaugeReading(sine.amplitude, sine.sd, sine.phase_rad, change)
+
+    def find_sine(self, *, duration_s: float) -> SineReading:
+        """Frequency and amplitude of the strongest sine over the latest `duration_s` seconds.
+
+        Parameters
+        ----------
+        duration_s
+            Waited for if need be; at most a minute. What makes less than 1.5 cycles in it is drift.
+
+        Raises
+        ------
+        TransportError, ProtocolError, DeviceRefused
+            As `read`.
+        """
+        count = round(duration_s * self._settings.rate_hz)
+        if count < 16 or duration_s > KEEP_S:
+            raise UsageError(f"{duration_s} s are no record to look for a sine in")
+        y = self._record(count) * self._settings.scale
+        self._judge(y)
+        # Missing numbers and spikes are bridged: the search needs even spacing, and `_judge` refuses many of them.
+        t, usable = np.arange(y.size) / self._settings.rate_hz, np.isfinite(y)
+        free = fit_free_sine(t, np.interp(t, t[usable], y[usable]))
+        residual = np.abs(np.where(usable, y, np.inf) - free.sine.at(t, free.frequency_hz))
+        spikes = residual > OUTLIER * max(float(np.median(residual)), 1e-12)
+        if (usable & spikes).any():
+            self._check_share(~spikes, "outliers: check its cable and what it looks at")
+            free = fit_free_sine(t, np.interp(t, t[~spikes], y[~spikes]))
+        return SineReading(
+            free.frequency_hz, free.sd_frequency_hz, free.sine.amplitude, free.sine.sd, free.is_significant
+        )
 
     def close(self) -> None:
         """Stop reading and give the wire back."""

@@ -244,6 +244,36 @@ class GaugeReading:
     change_per_cycle: float
 
 
+@dataclass(frozen=True, slots=True)
+class SineReading:
+    """The strongest sine that a gauge sees, its frequency not known beforehand.
+
+    Attributes
+    ----------
+    frequency_hz, sd_frequency_hz
+        Its frequency and standard deviation.
+    value, sd
+        Zero to peak in the gauge's own unit, and its standard deviation.
+    is_significant
+        False where noise alone may look like this: nothing moves that the gauge could see.
+    """
+
+    frequency_hz: float
+    sd_frequency_hz: float
+    value: float
+    sd: float
+    is_significant: bool
+
+
+@runtime_checkable
+class SineFinder(Protocol):
+    """The ability of a gauge to find an excitation that nobody stated; a gauge may lack it."""
+
+    def find_sine(self, *, duration_s: float) -> SineReading:
+        """Frequency and amplitude over the latest `duration_s` seconds; waits for that much data if need be."""
+        ...
+
+
 @runtime_checkable
 class Gauge(Protocol):
     """A displacement or acceleration sensor that streams."""

@@ -23,6 +23,7 @@ from labdaemon.capture.devices import (
     Firing,
     GaugeReading,
     ShakerState,
+    SineReading,
 )
 from labdaemon.capture.lines import InlineLine
 from labdaemon.capture.rig import Rig, Wired
@@ -335,6 +336,11 @@ class FakeGauge:
             goal = self.world.response_gain * self.world.amplitude_mm if self.world.moves() else 0.0
             change = abs(goal - value) / max(value, 1e-9) * 2.0 * math.pi * self.world.damping_ratio
         return GaugeReading(self.gain * value, 1e-4, 0.0, change)
+
+    def find_sine(self, *, duration_s: float) -> SineReading:
+        self.world.enter(self.name, "find_sine", 0.0)
+        value = self.gain * (self.world.amplitude_mm if self.world.moves() else 0.0)
+        return SineReading(self.world.frequency_hz, 1e-3, value, 1e-4, value > 0.0)
 
     def close(self) -> None:
         self.world.enter(self.name, "close")

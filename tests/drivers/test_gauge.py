@@ -13,7 +13,7 @@ from labdrivers.gauge import LineGauge
 from labdrivers.gauge_stream import LineParser, RecordParser
 from labdrivers.sim.gauge_device import GaugeDevice
 from labdrivers.sim.wire import PtyPort, TcpPort
-from labdrivers.sine_fit import change_per_cycle, fit_sine
+from labdrivers.sine_fit import change_per_cycle, fit_free_sine, fit_sine
 
 
 @settings(max_examples=60, deadline=None)
@@ -38,6 +38,32 @@ def test_fits_standard_deviation_is_the_scatter_of_the_fits():
     scatter = np.std([sine.amplitude for sine in found])
     assert scatter == pytest.approx(0.1 * math.sqrt(2 / 500), rel=0.12)  # the textbook's value
     assert np.mean([sine.sd for sine in found]) == pytest.approx(scatter, rel=0.12)
+
+
+@pytest.mark.parametrize(("frequency_hz", "drift"), [(0.8, 0.0), (5.0, 0.02), (11.37, 0.0), (73.3, 0.0)])
+def test_an_unknown_frequency_is_found_within_its_standard_deviation(frequency_hz: float, drift: float):
+    rng = np.random.default_rng(8)
+    t = np.arange(2000) / 500.0
+    errors, amplitudes = [], []
+    for phase in rng.uniform(-3.0, 3.0, 40):
+        y = 2.0 * np.sin(2 * math.pi * frequency_hz * t + phase) + 7.0 + drift * t + rng.normal(0, 0.05, t.size)
+        free = fit_free_sine(t, y)
+        assert free.is_significant
+        errors.append((free.frequency_hz - frequency_hz) / free.sd_frequency_hz)
+        amplitudes.append((free.sine.amplitude - 2.0) / free.sine.sd)
+    assert max(np.abs(errors)) < 5.0
+    assert np.std(amplitudes) == pytest.approx(1.0, rel=0.35)
+    assert drift > 0 or np.std(errors) == pytest.approx(1.0, rel=0.35)
+
+
+def test_noise_is_no_sine_and_neither_is_a_drift():
+    rng = np.random.default_rng(9)
+    t = np.arange(2000) / 500.0
+    found = [fit_free_sine(t, rng.normal(0, 0.05, t.size) + 3.0).is_significant for _ in range(200)]
+    assert not any(found)
+    assert not fit_free_sine(t, np.zeros(2000)).is_significant
+    with pytest.raises(ValueError, match="no record"):
+        fit_free_sine(t[:10], t[:10])
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.01, -0.05])
@@ -164,6 +190,20 @@ def test_faults_are_named_and_end_with_a_new_connection(streaming, fault):
     device.faults.clear()
     gauge.connect()
     assert gauge.read(8.0, duration_s=0.3).value == pytest.approx(1.5, abs=0.01)
+
+
+@pytest.mark.parametrize("fault", [None, "spikes"])
+def test_a_gauge_finds_the_excitation_that_nobody_stated(streaming, fault):
+    device, gauge = streaming
+    gauge.connect()
+    if fault is not None:
+        device.faults.inject(fault, count=None)
+    found = gauge.find_sine(duration_s=1.0)
+    assert found.is_significant
+    assert found.frequency_hz == pytest.approx(8.0, abs=max(5 * found.sd_frequency_hz, 0.02))
+    assert found.value == pytest.approx(1.5, abs=max(5 * found.sd, 0.01))
+    with pytest.raises(UsageError, match="no record"):
+        gauge.find_sine(duration_s=0.01)
 
 
 def test_a_dead_gauge_does_not_connect(streaming):
