@@ -142,7 +142,7 @@ def fit_free_sine(t_s: FloatArray, y: FloatArray) -> FreeSine:
     sine = fit_sine(t_s, y, frequency_hz)
     design = _free_design(t_s, frequency_hz, sine)
     covariance = sine.residual_rms**2 * np.linalg.pinv(design.T @ design)
-    # The periodogram of white noise is exponentially distributed, and the highest of n/2 independent values is looked at.
+    # The periodogram of white noise is exponentially distributed; the highest of n/2 independent values is looked at.
     power = y.size * sine.amplitude**2 / (4.0 * sine.residual_rms**2) if sine.residual_rms > 0 else math.inf
     stands_out = sine.amplitude > 1e-12 * float(np.abs(y).max()) and power > math.log(y.size / 2.0 / FALSE_ALARM)
     return FreeSine(frequency_hz, math.sqrt(max(0.0, float(covariance[3, 3]))), sine, stands_out)

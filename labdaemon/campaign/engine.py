@@ -15,8 +15,11 @@ from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.guard import Guard
 from labdaemon.campaign.interlocks import Limits, envelope_reason
+from labdaemon.campaign.listening import OutsideListener
 from labdaemon.campaign.lookup import named_campaign
-from labdaemon.campaign.manual import Manual
+from labdaemon.campaign.manual import ManualCaptures
+from labdaemon.campaign.manual_measuring import ManualMeasuring
+from labdaemon.campaign.manual_request import CaptureRequest
 from labdaemon.campaign.measuring import Measuring, Rows
 from labdaemon.campaign.reporter import Reporter
 from labdaemon.campaign.steps import Plan, Step
@@ -27,7 +30,7 @@ from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CampaignRecord, CampaignState, CaptureRecord
 from labdaemon.journal.storage import JournalError
 from labdaemon.orbit_size import LargestMotion, largest_motion
-from labdaemon.stream.messages import Busy, WrongState
+from labdaemon.stream.messages import Busy, CommandError, WrongState
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +98,9 @@ class Engine:
             quiet=self.control.quiet.wait,
             pace=policy.pace,
         )
-        self.manual = Manual(lab, measuring)
+        manual = ManualMeasuring(lab, measuring, self.reporter, folder_files)
+        self.manual = ManualCaptures(lab, manual, self.reporter, policy.window_s, self._recover_soon)
+        self._outside = OutsideListener(lab, self.manual, self.attempts, self.reporter, policy)
         measuring.published, measuring.patiently = self._on_published, self.reporter.patiently
         self._stops: set[asyncio.Task[None]] = set()
         self.current: CampaignRecord | None = None
@@ -172,7 +177,7 @@ class Engine:
         if plan.digest != record.digest:
             if not accept_changed_rig:
                 raise WrongState(f"{record.id}: {CHANGED_RIG}")
-            await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)
+            await self._accept(record, plan)
         if not await self._move(record, "running", **_outline(plan)):
             raise WrongState(f"campaign {record.id} has just ended")
         self.control.clear()
@@ -193,7 +198,7 @@ class Engine:
             self.control.want("abort", reason)
         return record.id
 
-    async def capture(self, label: str, *, is_sharp: bool = False, request_id: str | None = None) -> CaptureRecord:
+    async def capture(self, request: CaptureRequest) -> CaptureRecord:
         """Fire once, as the rig is; for a paused campaign, or for none.
 
         Raises
@@ -207,9 +212,12 @@ class Engine:
             raise Busy(f"campaign {self.current.id} is running; pause it first")
         campaign = self.current.id if self.current is not None else None
         if self.attempts.needs_recovery:
+            await self.manual.finish()
             await self.attempts.settle_down(campaign, None)
         try:
-            return await self.manual.capture(label, campaign=campaign, is_sharp=is_sharp, request_id=request_id)
+            return await self.manual.capture(request, campaign=campaign)
+        except CommandError:
+            raise
         except LabdaemonError:
             self.attempts.needs_recovery = True
             raise
@@ -247,29 +255,13 @@ class Engine:
         return waiting[0] if waiting else None
 
     async def _idle(self, guard: asyncio.Task[None]) -> None:
-        """Wait for a campaign; without a trigger of ours, keep what others fire meanwhile."""
+        """Wait for a campaign; where others fire, keep what others fire meanwhile."""
         self.attempts.doing = "idle"
-        listening = None
-        if self.lab.rig.trigger is None:
-            listening = asyncio.create_task(self._listen())
-        try:
-            await self.control.wait(guard)
-        finally:
-            if listening is not None:
-                listening.cancel()
-                with suppress(asyncio.CancelledError):
-                    await listening
+        await self._outside.during(self.control.wait(guard), None)
 
-    async def _listen(self) -> None:
-        failures = 0
-        while True:
-            try:
-                await self.manual.listen(self.policy.window_s)
-            except LabdaemonError as exc:
-                failures += 1
-                await self.reporter.fault(exc, campaign=None, step=None, action="listen again")
-                await self.lab.clock.sleep(self.policy.pause_s(failures))
-                await self.attempts.settle_down(None, None)
+    def _recover_soon(self) -> None:
+        self.attempts.needs_recovery = True
+        self.control.news.set()
 
     async def _take_up(self, record: CampaignRecord, guard: asyncio.Task[None]) -> None:
         """Begin a campaign, or go on with it, until it ends."""
@@ -280,7 +272,7 @@ class Engine:
             self.plan = plan = await self.lab.recorder.aside(self._planner, record.toml)
             if plan.digest != record.digest and record.state != "paused":
                 if self.policy.accept_changed_rig:
-                    await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)
+                    await self._accept(record, plan)
                 else:
                     await self._move(record, "paused", CHANGED_RIG)
                     self.control.clear("pause")
@@ -296,6 +288,11 @@ class Engine:
             self.control.clear()
         finally:
             self.current = self.plan = self.step = None
+
+    async def _accept(self, record: CampaignRecord, plan: Plan) -> None:
+        """Go on under a changed rig: what is measured from now on is measured with it, by us and by `process`."""
+        await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)
+        await self.files.accept(record)
 
     async def _walk(self, record: CampaignRecord, plan: Plan, guard: asyncio.Task[None]) -> None:
         known = records.steps(self.lab.recorder.journal, record.id)
@@ -328,7 +325,7 @@ class Engine:
             await self._move(record, "paused", self.control.reason)
         self.attempts.doing, self.attempts.began_s = "paused", None
         while self.control.wish == "pause":
-            await self.control.wait(guard)
+            await self._outside.during(self.control.wait(guard), record.id)
         if self.control.wish == "go":
             await self.files.renew(record)
 

@@ -37,6 +37,8 @@ class FakeMeasurer:
     ----------
     measure_s
         Time that one measurement takes.
+    refusal
+        Message with which every capture is refused; empty to measure.
     poisoned
         Names of captures that cannot be measured.
     flags, amplitude_mm
@@ -53,9 +55,12 @@ class FakeMeasurer:
     amplitude_mm: float = 1.0
     results: dict[Path, list[str]] = field(default_factory=dict)
     refuses: StorageError | None = None
+    refusal: str = ""
 
     async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
         await asyncio.sleep(self.measure_s)
+        if self.refusal:
+            raise DataError(self.refusal, file=folder / "sharp")
         if name in self.poisoned:
             raise DataError("killed its worker twice and was set aside", file=name)
         frames = [path for capture in captures for path in sorted((folder / "captures" / capture).glob("*.dng"))]

@@ -11,7 +11,7 @@ from labdaemon.campaign.reporter import Reporter
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.places import campaign_folder
 from labdaemon.capture.recorder import Recorder
-from labdaemon.durable import write_durably
+from labdaemon.durable import move_durably, write_durably
 from labdaemon.errors import StorageError
 from labdaemon.journal.records import CampaignRecord
 from labdaemon.journal.storage import JournalError
@@ -74,6 +74,18 @@ class CampaignFiles:
         except StorageError:
             return  # they are written when it ends in any case, and that failure is reported
 
+    async def accept(self, record: CampaignRecord) -> None:
+        """The rig as it is now, for a campaign that was planned for another; waits while the disk takes nothing.
+
+        Raises
+        ------
+        StorageError
+            The folder refuses the files.
+        """
+        await self.reporter.patiently(
+            lambda: self.recorder.on_disk(renew_folder, self.data, record.id, self.files)
+        )
+
     async def close(self, record: CampaignRecord) -> StorageError | None:
         """Write the result files as the journal has them, synced; the reason where the folder refuses them."""
         try:
@@ -83,3 +95,35 @@ class CampaignFiles:
         except StorageError as exc:
             return exc
         return None
+def renew_folder(data: Path, campaign: str, files: Mapping[str, str]) -> list[str]:
+    """Make the folder with these files in it; a file that says something else is kept under another name.
+
+    Captures to come are measured with the rig as it is now, and `labdaemon process` reads the same files.
+
+    Returns
+    -------
+    list of str
+        New names of files that gave way, as ``rig-1.toml``.
+
+    Raises
+    ------
+    DataError
+        The disk is full or cannot be written.
+    """
+    folder = campaign_folder(data, campaign)
+    moved: list[str] = []
+    for name, text in files.items():
+        path = folder / name
+        if path.is_file() and path.read_bytes() != text.encode():
+            moved.append(_free_name(path).name)
+            move_durably(path, folder / moved[-1])
+    prepare_folder(data, campaign, files)
+    return moved
+
+
+def _free_name(path: Path) -> Path:
+    """A name next to a file's that no other file has."""
+    number = 1
+    while (other := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
+        number += 1
+    return other

@@ -4,129 +4,269 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from dataclasses import replace
+from collections import deque
+from collections.abc import Callable, Coroutine
+from contextlib import aclosing
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
-from labdaemon.campaign.measuring import Measuring
-from labdaemon.campaign.steps import Settle, Shot, Step
+from labdaemon.campaign.manual_measuring import ManualMeasuring
+from labdaemon.campaign.manual_request import CaptureRequest, capture_name
+from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.table_motion import contradiction, observe_table
 from labdaemon.campaign.walk import Walker
 from labdaemon.capture.capture import Lab, take
-from labdaemon.capture.places import sharp_folder
-from labdaemon.errors import LabdaemonError
+from labdaemon.capture.devices import CardFile, Firing
+from labdaemon.capture.pairing import Arrivals
+from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.journal import records, transitions
-from labdaemon.journal.journal import Journal
-from labdaemon.journal.records import NO_STEP, CaptureRecord
+from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
+from labdaemon.stream.messages import Busy
+
+ANSWER_S = 10.0
+"""How long a request waits for the outside system to release before it is answered without an opening."""
+EXPECTED_S = 600.0
+"""A release that comes later than this after its request is another one: nobody remembers what was asked."""
+MOST_EXPECTED = 8
 
 log = logging.getLogger(__name__)
 
 
-class Manual:
-    """Takes captures as the rig is, under the standing manual campaign or under a paused one."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ExpectedRelease:
+    """A request whose shutters an outside system will release."""
 
-    def __init__(self, lab: Lab, measuring: Measuring) -> None:
-        self._lab, self._measuring = lab, measuring
+    request: CaptureRequest
+    campaign: str
+    name: str
+    until_s: float
+    fired: asyncio.Future[CaptureRecord]
+
+
+class ManualCaptures:
+    """Takes captures as the rig is, under the standing manual campaign or under a paused one.
+
+    Parameters
+    ----------
+    lab
+        The rig and the journal.
+    measuring
+        What becomes of them.
+    reporter
+        Where faults are reported.
+    window_s
+        Frames of one outside release arrive from all cameras within this time.
+    failed
+        Called when a capture came to nothing after it was fired: what it left is to be recovered.
+    """
+
+    def __init__(
+        self,
+        lab: Lab,
+        measuring: ManualMeasuring,
+        reporter: Reporter,
+        window_s: float,
+        failed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._failed = failed
+        self._lab, self._reporter, self._window_s = lab, reporter, window_s
+        self.measuring = measuring
         self._turn = asyncio.Lock()
-        self._finishing: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._expected: deque[ExpectedRelease] = deque()
+        self._arrivals = Arrivals(tuple(lab.rig.cameras), window_s)
+        self._gauge_trouble: str | None = None
         self.exposure_s = 1.0
-        """Exposure of captures that nobody planned."""
+        """Exposure of captures that nobody planned and that the daemon releases."""
 
-    async def capture(
-        self, label: str, *, campaign: str | None, is_sharp: bool = False, request_id: str | None = None
-    ) -> CaptureRecord:
+    async def capture(self, request: CaptureRequest, *, campaign: str | None) -> CaptureRecord:
         """Fire once, as the rig is; returns once fired, with storing and measuring still to come.
+
+        Where an outside system releases, its next release is this capture. The answer waits a while for it, and then
+        has no opening.
 
         Parameters
         ----------
         campaign
             The paused campaign that it goes to; None for the manual one.
-        is_sharp
-            A sharp frame at rest, for captures to come, rather than a blurred one.
 
         Raises
         ------
         DeviceError
             Trigger or cameras refused.
+        Busy
+            Too many captures wait for an outside system already.
         """
+        if self._lab.rig.trigger is None:
+            return await self._expect(request, campaign)
         await self._turn.acquire()
         fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
-        task = asyncio.create_task(self._take(label, campaign, is_sharp, request_id, fired))
-        self._finishing.add(task)
-        task.add_done_callback(lambda task: self._done(task, fired))
+        task = self._start(self._take(request, campaign, fired))
+        task.add_done_callback(lambda task: self._taken(task, fired))
         return await asyncio.shield(fired)
 
-    async def listen(self, window_s: float) -> None:
-        """Keep every capture that an outside system fires, until cancelled."""
-        id = await self._lab.recorder.write(transitions.open_manual)
-        walker = Walker(self._lab, id, self._measuring.add, lambda: None, lambda: None, window_s=window_s)
-        async for firing, files in walker.releases(None):
-            await walker.keep_outside(self._order("outside", id, False), firing, files)
+    async def listen(self, campaign: str | None) -> None:
+        """Keep every capture that an outside system fires, until cancelled; one that has come is kept all the same."""
+        id = await self.measuring.open(campaign)
+        walker = Walker(
+            self._lab,
+            id,
+            self.measuring.stored,
+            lambda: None,
+            lambda: None,
+            window_s=self._window_s,
+            arrivals=self._arrivals,
+            turn=self._turn,
+        )
+        async with aclosing(walker.releases(None)) as releases:
+            async for firing, files in releases:
+                await asyncio.shield(self._start(self._keep(walker, firing, files)))
 
     async def finish(self) -> None:
         """Wait for captures that are still being stored."""
-        while self._finishing:
-            await asyncio.wait(set(self._finishing))
+        while self._tasks:
+            await asyncio.wait(set(self._tasks))
 
-    def _done(self, task: asyncio.Task[None], fired: asyncio.Future[CaptureRecord]) -> None:
+    async def _take(self, request: CaptureRequest, campaign: str | None, fired: asyncio.Future[CaptureRecord]) -> None:
+        id = await self.measuring.open(campaign)
+        exposure_s = request.exposure_s or self.exposure_s
+        try:
+            await take(
+                self._lab,
+                self._order(request, id, self._free_name(id, request.label), exposure_s),
+                None,
+                measure=self.measuring.stored,
+                request_id=request.request_id,
+                fired=fired.set_result,
+                describe=partial(self._describe, request),
+            )
+        except LabdaemonError as exc:
+            if not fired.done():
+                fired.set_exception(exc)
+                return
+            await self._reporter.fault(exc, campaign=id, step=None, action="recover")
+            self._failed()
+
+    async def _expect(self, request: CaptureRequest, campaign: str | None) -> CaptureRecord:
+        """Have the next outside release be this capture."""
+        now_s = self._lab.clock.monotonic()
+        self._drop_late(now_s)
+        again = [one for one in self._expected if request.request_id and one.request.request_id == request.request_id]
+        if not again:
+            if len(self._expected) >= MOST_EXPECTED:
+                raise Busy(f"{MOST_EXPECTED} captures wait for the outside system to release already")
+            id = await self.measuring.open(campaign)
+            name = self._free_name(id, request.label)
+            fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
+            again = [ExpectedRelease(request, id, name, now_s + EXPECTED_S, fired)]
+            self._expected.append(again[0])
+        expected = again[0]
+        await asyncio.wait([expected.fired], timeout=ANSWER_S)
+        if expected.fired.done():
+            return expected.fired.result()
+        return self._order(request, expected.campaign, expected.name, request.exposure_s or UNKNOWN_EXPOSURE_S)
+
+    async def _keep(self, walker: Walker, firing: Firing | None, files: dict[str, CardFile]) -> None:
+        """Store an outside release as the capture that was asked for, or as one that nobody announced."""
+        self._drop_late(self._lab.clock.monotonic())
+        expected = self._expected.popleft() if self._expected else None
+        request = expected.request if expected is not None else CaptureRequest("outside")
+        name = expected.name if expected is not None else self._free_name(walker.campaign, request.label)
+        order = self._order(request, walker.campaign, name, request.exposure_s or UNKNOWN_EXPOSURE_S)
+
+        def fired(capture: CaptureRecord) -> None:
+            if expected is not None and not expected.fired.done():
+                expected.fired.set_result(capture)
+
+        await walker.keep_outside(
+            order,
+            firing,
+            files,
+            request_id=request.request_id,
+            fired=fired,
+            describe=partial(self._describe, request),
+        )
+
+    def _drop_late(self, now_s: float) -> None:
+        while self._expected and self._expected[0].until_s < now_s:
+            late = self._expected.popleft()
+            log.warning("no outside release within %g s for %s: no longer waited for", EXPECTED_S, late.name)
+
+    def _free_name(self, campaign: str, label: str) -> str:
+        journal = self._lab.recorder.journal
+        number, reserved = records.manual_count(journal, campaign) + 1, {one.name for one in self._expected}
+        number += len(reserved)
+        while (name := capture_name(number, label)) in reserved or records.has_capture(journal, campaign, name):
+            number += 1
+        return name
+
+    def _order(self, request: CaptureRequest, campaign: str, name: str, exposure_s: float) -> CaptureRecord:
+        """The capture to be. What was stated comes first, then what our own shaker was set to."""
+        own = self._lab.table.excitation
+        frequency_hz, amplitude_mm = request.frequency_hz, request.amplitude_mm
+        if own is not None:
+            frequency_hz = own.frequency_hz if frequency_hz is None else frequency_hz
+            amplitude_mm = own.amplitude_mm if amplitude_mm is None else amplitude_mm
+        return CaptureRecord(
+            campaign=campaign,
+            name=name,
+            step=NO_STEP,
+            shot=0,
+            label=request.label or name,
+            is_sharp=request.is_sharp,
+            sharp=name if request.is_sharp else self.measuring.sharp_of(campaign, request.group),
+            grouped=request.group,
+            state="intended",
+            frequency_hz=frequency_hz,
+            amplitude_mm=amplitude_mm,
+            exposure_s=exposure_s,
+            opened_at=None,
+            opening_s={},
+            phase_rad=request.phase_rad,
+            sd_phase_rad=None,
+            cameras=tuple(self._lab.rig.cameras),
+            files={},
+            reason=None,
+        )
+
+    async def _describe(self, request: CaptureRequest, capture: CaptureRecord) -> CaptureRecord:
+        """Take frequency and amplitude from the table gauge where nobody stated them, and compare where they did."""
+        if capture.is_sharp or self._lab.table.excitation is not None:
+            return capture
+        try:
+            seen = await observe_table(self._lab.rig, request.frequency_hz, capture.exposure_s)
+        except DeviceError as exc:
+            if self._gauge_trouble != str(exc):  # once, not for every capture of a night
+                self._gauge_trouble = str(exc)
+                await self._reporter.fault(exc, campaign=capture.campaign, step=None, action="kept as stated")
+            return capture
+        self._gauge_trouble = None
+        if seen is None:
+            return capture
+        differs = contradiction(seen, request.frequency_hz, request.amplitude_mm)
+        if differs is not None:
+            await self._reporter.fault(differs, campaign=capture.campaign, step=None, action="kept as stated")
+        described = capture
+        if capture.frequency_hz is None and seen.frequency_hz is not None:
+            described = replace(described, frequency_hz=seen.frequency_hz)
+        if capture.amplitude_mm is None and seen.frequency_hz is not None:
+            described = replace(described, amplitude_mm=seen.amplitude_mm)
+        if described != capture:
+            await self._lab.recorder.write(transitions.describe_capture, described)
+        return described
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _taken(self, task: asyncio.Task[None], fired: asyncio.Future[CaptureRecord]) -> None:
         """However it ended, the turn is given back and who waits for the opening is answered."""
-        self._finishing.discard(task)
         self._turn.release()
         error = None if task.cancelled() else task.exception()
         if not fired.done():
             fired.set_exception(error or LabdaemonError("the capture was given up before the shutters opened"))
         elif error is not None:
             log.error("a manual capture was not stored", exc_info=error)
-
-    async def _take(
-        self,
-        label: str,
-        campaign: str | None,
-        is_sharp: bool,
-        request_id: str | None,
-        fired: asyncio.Future[CaptureRecord],
-    ) -> None:
-        id = campaign if campaign is not None else await self._lab.recorder.write(transitions.open_manual)
-        try:
-            await take(
-                self._lab,
-                self._order(label, id, is_sharp),
-                None,
-                measure=self._measuring.add,
-                request_id=request_id,
-                fired=fired.set_result,
-            )
-        except LabdaemonError as exc:
-            if not fired.done():
-                fired.set_exception(exc)
-                return
-            told = {"device": getattr(exc, "device", None), "error": type(exc).__name__, "message": str(exc)}
-            await self._lab.recorder.write(transitions.fault, campaign, {**told, "action": "recover"})
-
-    def _order(self, label: str, campaign: str, is_sharp: bool) -> CaptureRecord:
-        journal = self._lab.recorder.journal
-        earlier = records.captures(journal, campaign, step=NO_STEP)
-        sets = sorted({capture.name for capture in earlier if capture.is_sharp and capture.state == "stored"})
-        excitation = self._lab.table.excitation
-        name = f"manual-{len(earlier) + 1:04d}"
-        step = Step(
-            NO_STEP, 0, "sharp" if is_sharp else "external", name, None, None, (Shot(self.exposure_s),), False,
-            Settle(), "skip", 0.0, 0,
-        )  # fmt: skip
-        flat = sharp_folder(self._lab.data, campaign, None)
-        walker = Walker(self._lab, campaign, self._measuring.add, lambda: None, lambda: None)
-        order = walker.order(step, 0, step.shots[0])
-        sharp = name if is_sharp else (sets[-1] if sets else None)
-        if not is_sharp and not sets and flat.is_dir():
-            sharp = _latest_set(journal, campaign)
-        return replace(
-            order,
-            name=name,
-            label=label or name,
-            sharp=sharp,
-            frequency_hz=excitation.frequency_hz if excitation else None,
-            amplitude_mm=excitation.amplitude_mm if excitation else None,
-        )
-
-
-def _latest_set(journal: Journal, campaign: str) -> str | None:
-    """The sharp set that a paused campaign took last; None for the flat one."""
-    taken = [capture for capture in records.captures(journal, campaign, "stored") if capture.is_sharp]
-    return max(taken, key=lambda capture: capture.step).sharp if taken else None

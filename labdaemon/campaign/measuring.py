@@ -18,7 +18,7 @@ from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
 from labdaemon.errors import LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions
-from labdaemon.journal.records import CaptureRecord
+from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 Rows = list[dict[str, Any]]
 Patience = Callable[[Callable[[], Awaitable[object]]], Awaitable[object]]
@@ -103,6 +103,8 @@ class Measuring:
         self._broken: BaseException | None = None
         self.patiently: Patience = self._until_taken
         """Does work that the disk may refuse for a while; the engine's own reports it."""
+        self._reported: set[tuple[str, str]] = set()
+        """Campaign and message of what manual captures could not be measured for."""
         self.finished = 0
         """Results and failures so far: what a watchdog looks at."""
 
@@ -121,17 +123,27 @@ class Measuring:
         Raises what broke an earlier measurement in a way that nobody has foreseen.
         """
         self._raise_if_broken()
-        if capture.is_sharp:
-            return
+        if capture.is_sharp or (capture.grouped is not None and capture.step == NO_STEP):
+            return  # the size of a manual group is not known: whoever takes its captures says when it is complete
         members = self._members(capture)
-        if members is None:
-            return
-        key = (capture.campaign, capture.grouped or capture.name)
+        if members is not None:
+            await self.add_together(members)
+
+    async def add_together(self, members: Sequence[CaptureRecord], *, again: bool = False) -> None:
+        """Measure captures jointly under their group's name, or one under its own; waits while the queue is full.
+
+        `again` replaces an earlier result of this name: a manual group has a member more.
+        """
+        self._raise_if_broken()
+        key = (members[-1].campaign, members[-1].grouped or members[-1].name)
+        while again and key in self._tasks:
+            await asyncio.wait([self._tasks[key]])
+            await asyncio.sleep(0)
         if key in self._tasks:
             return
         await self._slots.acquire()
         self._since[key] = self._clock.monotonic()
-        task = asyncio.create_task(self._measure(key, members))
+        task = asyncio.create_task(self._measure(key, members, again=again))
         self._tasks[key] = task
         task.add_done_callback(lambda task: self._done(key, task))
 
@@ -217,7 +229,7 @@ class Measuring:
         self._since.pop(key, None)
         self._slots.release()
 
-    async def _measure(self, key: tuple[str, str], members: list[CaptureRecord]) -> None:
+    async def _measure(self, key: tuple[str, str], members: Sequence[CaptureRecord], *, again: bool) -> None:
         campaign, name = key
         folder = campaign_folder(self._data, campaign)
         names = [member.name for member in members]
@@ -228,17 +240,18 @@ class Measuring:
             except LabdaemonError as exc:
                 if exc.retryable and attempt < TRIES:
                     continue
-                await self._give_up(campaign, name, names, exc)
+                await self._give_up(campaign, name, names, exc, is_manual=last.step == NO_STEP)
                 return
             else:
                 break
         event = {
             "capture": name,
-            "step": last.step if last.step >= 0 else None,
+            "step": last.step if last.step != NO_STEP else None,
+            "label": last.label,
             "frequency_hz": last.frequency_hz,
             "excitation_amplitude_mm": last.amplitude_mm,
             "opened_at": last.opened_at,
-            "exposure_s": last.exposure_s,
+            "exposure_s": last.exposure_s or None,
             "targets": measured.envelope,
         }
         await self.patiently(
@@ -250,22 +263,34 @@ class Measuring:
                 envelope=measured.envelope,
                 measurements=measured.measurements,
                 event=event,
+                replace=again,
             )
         )
-        await self._append(campaign, folder, measured)
+        await self._append(campaign, folder, measured, again=again)
         self.finished += 1
         self.published(campaign, name, measured.envelope)
 
-    async def _give_up(self, campaign: str, name: str, names: list[str], exc: LabdaemonError) -> None:
+    async def _give_up(
+        self, campaign: str, name: str, names: list[str], exc: LabdaemonError, *, is_manual: bool
+    ) -> None:
+        """Report it; of manual captures, which may come all night, the same words once."""
+        is_known = is_manual and (campaign, str(exc)) in self._reported
+        if is_manual:
+            self._reported.add((campaign, str(exc)))
         told = {"device": "worker", "capture": name, "error": type(exc).__name__, "message": str(exc), "action": "kept"}
-        await self.patiently(lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, told))
+        await self.patiently(
+            lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, told, is_known=is_known)
+        )
         self.finished += 1
 
-    async def _append(self, campaign: str, folder: Path, measured: Measured) -> None:
-        """Add a result to the files; a folder that refuses it does not keep it from being published."""
+    async def _append(self, campaign: str, folder: Path, measured: Measured, *, again: bool) -> None:
+        """Add a result to the files, or write them anew where it replaces an earlier one.
+
+        A folder that refuses it does not keep it from being published.
+        """
         try:
             async with self._writing:
-                if not await self._recorder.on_disk(self._measurer.append_results, folder, measured):
+                if again or not await self._recorder.on_disk(self._measurer.append_results, folder, measured):
                     await self._rewrite(campaign)
         except StorageError as exc:
             # The files are written anew when the campaign ends, and it does not end as completed without them.

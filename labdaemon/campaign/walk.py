@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from dataclasses import dataclass
 
 from labdaemon.campaign.steps import Shot, Step
-from labdaemon.capture.capture import Lab, keep, take
+from labdaemon.capture.capture import Describe, Fired, Lab, keep, take
 from labdaemon.capture.collect import store, wait_all, wait_frame
 from labdaemon.capture.devices import CardFile, Firing
 from labdaemon.capture.pairing import Arrivals
@@ -39,6 +39,10 @@ class Walker:
         Called when a capture is stored, or has failed.
     window_s
         Frames of an outside release arrive within this time.
+    arrivals
+        Frames whose companions are still to come, kept from one wait to the next; None to begin without any.
+    turn
+        Held from an outside release to the end of its capture, so that no other one is fired into it.
     """
 
     lab: Lab
@@ -47,6 +51,8 @@ class Walker:
     begun: Callable[[], None]
     ended: Callable[[], None]
     window_s: float = 5.0
+    arrivals: Arrivals | None = None
+    turn: asyncio.Lock | None = None
 
     async def walk(self, step: Step) -> None:
         """Do what the step asks, leaving out shots that were taken before an interruption."""
@@ -105,8 +111,17 @@ class Walker:
                 device="trigger",
             )
 
-    async def keep_outside(self, order: CaptureRecord, firing: Firing | None, files: dict[str, CardFile]) -> None:
-        """Store the files of an outside release as a capture."""
+    async def keep_outside(
+        self,
+        order: CaptureRecord,
+        firing: Firing | None,
+        files: dict[str, CardFile],
+        *,
+        request_id: str | None = None,
+        fired: Fired = lambda capture: None,
+        describe: Describe | None = None,
+    ) -> None:
+        """Store the files of an outside release as a capture; see `labdaemon.capture.capture.take`."""
         write = self.lab.recorder.write
         self.begun()
         await write(transitions.intend_capture, order)
@@ -124,21 +139,27 @@ class Walker:
             opening_s=opening_s,
             phase_rad=capture.phase_rad,
             sd_phase_rad=capture.sd_phase_rad,
+            request_id=request_id,
         )
+        fired(capture)
         try:
+            if describe is not None:
+                capture = await describe(capture)
             await self._stored(await keep(self.lab, capture, files))
         finally:
             self.ended()
 
-    async def releases(self, end_s: float | None) -> AsyncIterator[tuple[Firing | None, dict[str, CardFile]]]:
+    async def releases(self, end_s: float | None) -> AsyncGenerator[tuple[Firing | None, dict[str, CardFile]]]:
         """Outside releases as they come: what the trigger saw of them (None without one), and a file a camera."""
         clock, rig = self.lab.clock, self.lab.rig
-        arrivals = Arrivals(tuple(rig.cameras), self.window_s)
+        arrivals = self.arrivals or Arrivals(tuple(rig.cameras), self.window_s)
+        turn = self.turn or asyncio.Lock()
         while end_s is None or clock.monotonic() < end_s:
             if rig.trigger is not None:
                 firing = await rig.trigger.call(lambda driver: driver.wait(WAIT_SLICE_S), WAIT_SLICE_S + 10.0)
                 if firing is not None:
-                    yield firing, await wait_all(rig, self.lab.recorder, clock, self.lab.camera_timeout_s)
+                    async with turn:
+                        yield firing, await wait_all(rig, self.lab.recorder, clock, self.lab.camera_timeout_s)
                 continue
             found = await asyncio.gather(
                 *(wait_frame(camera, self.lab.recorder, clock, WAIT_SLICE_S) for camera in rig.cameras.values())

@@ -9,11 +9,13 @@ from pathlib import Path
 
 from labdaemon.capture.collect import store, wait_all, wait_frame
 from labdaemon.capture.devices import CardFile
+from labdaemon.capture.exposure import true_steps_s
 from labdaemon.capture.pairing import CameraClocks
 from labdaemon.capture.places import (
     capture_folder,
     capture_toml,
     frame_path,
+    opening_phase,
     set_aside_path,
     with_opening,
 )
@@ -23,9 +25,9 @@ from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import write_durably
-from labdaemon.errors import DeviceError, DeviceRefused, InterlockError
+from labdaemon.errors import DataError, DeviceError, DeviceRefused, InterlockError
 from labdaemon.journal import transitions
-from labdaemon.journal.records import CaptureRecord, FrameRecord
+from labdaemon.journal.records import UNKNOWN_EXPOSURE_S, CaptureRecord, FrameRecord
 
 EXPOSURE_WITHIN = 0.09
 """A body whose own exposure differs from the planned one by more than this, relative, is refused. Bodies name their
@@ -75,6 +77,7 @@ class Lab:
 
 Fired = Callable[[CaptureRecord], None]
 Stored = Callable[[CaptureRecord], Awaitable[None]]
+Describe = Callable[[CaptureRecord], Awaitable[CaptureRecord]]
 
 
 async def take(
@@ -87,6 +90,7 @@ async def take(
     request_id: str | None = None,
     begun: Callable[[], None] = lambda: None,
     fired: Fired = lambda capture: None,
+    describe: Describe | None = None,
 ) -> CaptureRecord:
     """Take one capture.
 
@@ -109,6 +113,9 @@ async def take(
         Called when the shutters are about to be fired: from then on it is worth seeing to its end.
     fired
         Called once the shutters have opened and the journal knows.
+
+    describe
+        Finds out, once the shutters have closed, what nobody stated of the excitation.
 
     Returns
     -------
@@ -135,6 +142,8 @@ async def take(
     await lab.table.confirm()
     if excitation is not None and lab.table.excitation != excitation:
         raise InterlockError("the table was stopped during the exposure")
+    if describe is not None:
+        capture = await describe(capture)
 
     capture = await keep(lab, capture, files)
     await measure(capture)
@@ -146,7 +155,31 @@ async def keep(lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile]) 
     named = {camera: (file.name, file.captured_at) for camera, file in files.items()}
     await lab.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named)
     frames = await asyncio.gather(*(_store(lab, capture, camera, file) for camera, file in files.items()))
+    if capture.exposure_s == UNKNOWN_EXPOSURE_S:
+        capture = await _read_exposure(lab, capture, list(frames))
     return await complete(lab, replace(capture, files=named), list(frames))
+
+
+def exposure_of(frame: Path) -> float | None:
+    """Exposure that a frame's file states, as its body names it; None if it does not. Blocks."""
+    # Imported here: reading frames loads libraries, and the table must be at rest before anything is loaded.
+    from labdaemon.imaging.filetags import read_tags
+
+    try:
+        return read_tags(frame).exposure_s
+    except (DataError, OSError):
+        return None
+
+
+async def _read_exposure(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
+    """The exposure as the frames state it; unknown it stays where they do not, or where they differ."""
+    named = [await lab.recorder.on_disk(exposure_of, lab.data / frame.path) for frame in frames]
+    known = {round(true, 6) for true in true_steps_s([one for one in named if one is not None])}
+    if None in named or len(known) != 1:
+        return capture
+    described = replace(capture, exposure_s=known.pop())
+    await lab.recorder.write(transitions.describe_capture, described)
+    return described
 
 
 async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
@@ -159,7 +192,9 @@ async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) 
         "label": capture.label,
         "sharp": capture.is_sharp,
         "opened_at": capture.opened_at,
-        "exposure_s": capture.exposure_s,
+        "exposure_s": capture.exposure_s or None,
+        "group": capture.grouped,
+        "phase_rad": opening_phase(capture),
         "frequency_hz": capture.frequency_hz,
         "excitation_amplitude_mm": capture.amplitude_mm,
         "frames": [

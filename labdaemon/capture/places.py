@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from math import pi
 from pathlib import Path, PurePath
 
 from labdaemon.capture.devices import CardFile
-from labdaemon.journal.records import CaptureRecord
+from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
 
 
 def campaign_folder(data: Path, campaign: str) -> Path:
@@ -54,22 +55,30 @@ def capture_toml(capture: CaptureRecord) -> str:
     lines: list[str] = []
     if capture.frequency_hz is not None:
         lines.append(f"frequency_hz = {capture.frequency_hz!r}")
-    lines.append(f"exposure_s = {capture.exposure_s!r}")
+    if capture.exposure_s != UNKNOWN_EXPOSURE_S:
+        lines.append(f"exposure_s = {capture.exposure_s!r}")
     phase_rad = opening_phase(capture)
     if phase_rad is not None:
         lines.append(f"phase_rad = {phase_rad!r}")
         lines.append(f"sd_phase_rad = {capture.sd_phase_rad or 0.0!r}")
     if capture.grouped:
-        lines.append(f'group = "{capture.grouped}"')
+        lines.append(f"group = {toml_string(capture.grouped)}")
     if capture.sharp:
-        lines.append(f'sharp = "{capture.sharp}"')
+        lines.append(f"sharp = {toml_string(capture.sharp)}")
     if capture.opened_at:
         lines.append(f'opened_at = "{capture.opened_at}"')
     if capture.amplitude_mm is not None:
         lines.append(f"excitation_amplitude_mm = {capture.amplitude_mm!r}")
-    lines.append(f"step = {capture.step}")
+    if capture.step != NO_STEP:
+        lines.append(f"step = {capture.step}")
+    lines.append(f"label = {toml_string(capture.label)}")
     lines += _camera_phases(capture, phase_rad)
     return "\n".join(lines) + "\n"
+
+
+def toml_string(text: str) -> str:
+    """Any text as a TOML basic string."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> list[str]:
@@ -87,7 +96,9 @@ def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> list[str]
 def with_opening(
     capture: CaptureRecord, opened_at: str, opening_s: Mapping[str, float], phase_rad: float | None, sd: float
 ) -> CaptureRecord:
-    """The capture as it is once fired."""
+    """The capture as it is once fired. A phase that was stated stays: it has a reference of its own."""
+    if capture.phase_rad is not None:
+        phase_rad, sd = capture.phase_rad, capture.sd_phase_rad or 0.0
     return replace(
         capture,
         state="fired",

@@ -111,15 +111,27 @@ abort = _campaign_command("abort", "aborted", "End the campaign; the table comes
 
 
 @click.command()
-@click.option("--label", default="manual", show_default=True, help="Part of the capture's name.")
+@click.option(
+    "--label", default="manual", show_default=True, help="Part of the capture's name, and in its capture.toml."
+)
 @click.option("--sharp", is_flag=True, help="A sharp set: the structure is at rest.")
+@click.option("--frequency-hz", type=float, metavar="HZ", help="Of the excitation, as the shaker's software knows it.")
+@click.option("--excitation-amplitude-mm", type=float, metavar="MM", help="Of the table, zero to peak.")
+@click.option("--phase-rad", type=float, metavar="RAD", help="Excitation phase at the opening.")
+@click.option("--group", help="Captures of one group are measured jointly, and reported once under this name.")
+@click.option("--exposure-s", type=float, metavar="S", help="Of the shutters; the rig file's if not given.")
 @click.option("--request-id", help="Fire at most once under this name, however often it is sent.")
 @address_options
-def capture(label: str, sharp: bool, request_id: str | None, address: str, as_json: bool) -> None:
-    """Fire all shutters once, now."""
+def capture(label: str, sharp: bool, request_id: str | None, address: str, as_json: bool, **stated: Any) -> None:
+    """Fire all shutters once, now; where an outside system fires, its next release is this capture.
+
+    Frequency and amplitude that are not stated are taken from the table gauge.
+    """
     wish = {"label": label, "request_id": request_id or uuid4().hex, **({"sharp": True} if sharp else {})}
+    wish |= {name: value for name, value in stated.items() if value is not None}
     result = ask(address, "capture", timeout_s=CAPTURE_TIMEOUT_S, **wish)
-    say(result, as_json, f"capture {result['capture']} opened at {result['opened_at']}")
+    name, opened_at = result["capture"], result["opened_at"]
+    say(result, as_json, f"capture {name} " + (f"opened at {opened_at}" if opened_at else "waits for the next release"))
 
 
 @click.command()

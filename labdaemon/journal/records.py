@@ -28,6 +28,10 @@ NO_STEP = -1
 """`CaptureRecord.step` of captures that belong to no step: a person's, and an outside system's while none runs."""
 
 
+UNKNOWN_EXPOSURE_S = 0.0
+"""`CaptureRecord.exposure_s` where others released and neither they nor the frame says how long it was exposed."""
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignRecord:
     """A campaign as submitted, and how far it is."""
@@ -171,6 +175,43 @@ def captures(
         values.extend(states)
     where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
     rows = journal.read(f"SELECT {_CAPTURE} FROM captures {where} ORDER BY campaign, name", *values)
+    return [_capture(row) for row in rows]
+
+
+def manual_count(journal: Journal, campaign: str) -> int:
+    """How many captures of a campaign were begun that belong to no step."""
+    rows = journal.read("SELECT count(*) FROM captures WHERE campaign = ? AND step = ?", campaign, NO_STEP)
+    return int(rows[0][0])
+
+
+def has_capture(journal: Journal, campaign: str, name: str) -> bool:
+    """Whether a name is taken by a capture, or by the group of one."""
+    return bool(
+        journal.read(
+            "SELECT 1 FROM captures WHERE campaign = ? AND (name = ? OR grouped = ?) LIMIT 1", campaign, name, name
+        )
+    )
+
+
+def latest_sharp(journal: Journal, campaign: str) -> CaptureRecord | None:
+    """The newest sharp frame that is stored; its `sharp` names the set. None if there is none."""
+    rows = journal.read(
+        f"SELECT {_CAPTURE} FROM captures WHERE campaign = ? AND is_sharp = 1 AND state = 'stored' "
+        "ORDER BY opened_at DESC LIMIT 1",
+        campaign,
+    )
+    return _capture(rows[0]) if rows else None
+
+
+def group_members(journal: Journal, campaign: str, group: str) -> list[CaptureRecord]:
+    """Stored captures of a manual group, measured or not, by name."""
+    rows = journal.read(
+        f"SELECT {_CAPTURE} FROM captures WHERE campaign = ? AND step = ? AND grouped = ? "
+        "AND state IN ('stored', 'measured') ORDER BY name",
+        campaign,
+        NO_STEP,
+        group,
+    )
     return [_capture(row) for row in rows]
 
 

@@ -161,6 +161,21 @@ def fire_capture(
         _answer(write, request_id, "capture", {"capture": name, "opened_at": opened_at})
 
 
+def describe_capture(journal: Journal, capture: CaptureRecord) -> None:
+    """Note what was found out of a capture after it was fired: excitation, exposure, sharp set."""
+    with journal.transaction("capture.described") as write:
+        write.execute(
+            "UPDATE captures SET frequency_hz = ?, amplitude_mm = ?, exposure_s = ?, sharp = ? "
+            "WHERE campaign = ? AND name = ?",
+            capture.frequency_hz,
+            capture.amplitude_mm,
+            capture.exposure_s,
+            capture.sharp,
+            capture.campaign,
+            capture.name,
+        )
+
+
 def expose_capture(journal: Journal, campaign: str, name: str, files: Mapping[str, tuple[str, str]]) -> None:
     """The shutters have closed and the excitation had not changed: these files are worth keeping."""
     with journal.transaction("capture.exposed") as write:
@@ -226,13 +241,17 @@ def record_result(
     envelope: list[dict[str, Any]],
     measurements: list[dict[str, Any]],
     event: Mapping[str, Any],
+    replace: bool = False,
 ) -> bool:
     """Keep an envelope and publish it, once: False, and nothing changed, if it had been kept before.
 
-    `name` is the capture's, or its group's; `members` are the captures that it was measured from.
+    `name` is the capture's, or its group's; `members` are the captures that it was measured from. With `replace` an
+    earlier result of this name gives way: a manual group that has a member more.
     """
     with journal.transaction("envelope") as write:
-        if write.execute("SELECT 1 FROM results WHERE campaign = ? AND name = ?", campaign, name).fetchone():
+        if replace:
+            write.execute("DELETE FROM results WHERE campaign = ? AND name = ?", campaign, name)
+        elif write.execute("SELECT 1 FROM results WHERE campaign = ? AND name = ?", campaign, name).fetchone():
             return False
         number = write.execute("SELECT coalesce(max(number), 0) + 1 FROM results WHERE campaign = ?", campaign)
         write.execute(
@@ -249,8 +268,13 @@ def record_result(
     return True
 
 
-def give_up_measuring(journal: Journal, campaign: str, members: Sequence[str], fault: Mapping[str, Any]) -> None:
-    """Captures whose frames are stored but cannot be measured; they are kept, and told as a fault."""
+def give_up_measuring(
+    journal: Journal, campaign: str, members: Sequence[str], fault: Mapping[str, Any], *, is_known: bool = False
+) -> None:
+    """Captures whose frames are stored but cannot be measured; they are kept, and reported as a fault.
+
+    `is_known` leaves the event out: the same fault was reported for captures before.
+    """
     with journal.transaction("capture.unmeasured") as write:
         for member in members:
             write.execute(
@@ -259,7 +283,8 @@ def give_up_measuring(journal: Journal, campaign: str, members: Sequence[str], f
                 campaign,
                 member,
             )
-        write.emit("fault", campaign, dict(fault))
+        if not is_known:
+            write.emit("fault", campaign, dict(fault))
 
 
 def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> None:

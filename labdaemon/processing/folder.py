@@ -104,6 +104,10 @@ class DataFolder:
             raise DataError(f"no sharp frame of camera {missing[0]}", file=where)
         return SharpFiles(name or "", _at_rest(where), found)
 
+    def sharp_sets(self) -> tuple[str, ...]:
+        """All sharp sets in the order in which they name targets: the flat one ("") first, then by name."""
+        return sharp_sets(self.root)
+
     def capture_names(self) -> tuple[str, ...]:
         """All captures, in the order of their names."""
         base = self.root / "captures"
@@ -132,6 +136,17 @@ class DataFolder:
         if missing:
             raise DataError(f"no frame of camera {missing[0]}", file=where)
         return CaptureFiles(name, frames, _read_capture(where / "capture.toml", tuple(self.rig.cameras)))
+
+
+def sharp_sets(root: Path) -> tuple[str, ...]:
+    """Names of a folder's sharp sets, the flat one ("") first; empty where there is none."""
+    base = root / "sharp"
+    if not base.is_dir():
+        return ()
+    entries = sorted(base.iterdir())
+    has_flat = any(path.is_file() and path.suffix.lower() not in NOT_FRAMES for path in entries)
+    named = [path.name for path in entries if path.is_dir() and not path.name.startswith(".")]
+    return (*([""] if has_flat else []), *named)
 
 
 def open_folder(root: Path) -> DataFolder:

@@ -8,12 +8,12 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 
-from labdaemon.errors import DataError
+from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
 from labdaemon.processing.folder import DataFolder, open_folder
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.results_place import ResultsPlace
-from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder
+from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder, prepare_sharp
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, write_csv
 
 Progress = Callable[[str, int, int], None]
@@ -128,7 +128,12 @@ def process_folder(
 
 
 def _prepare(folder: DataFolder, todo: Sequence[Job], pool: WorkerPool, tell: Progress) -> dict[str, SharpSet]:
-    files = [folder.sharp(name or None) for name in dict.fromkeys(job.sharp or "" for job in todo)]
+    used = {job.sharp or "" for job in todo}
+    # In the order in which the daemon prepares them, so that targets get the names that it gave them.
+    order = {name: place for place, name in enumerate(folder.sharp_sets())}
+    names = sorted(used, key=lambda name: (order.get(name, len(order)), name))
+    naming = _naming_set(folder, names[0], pool)
+    files = [folder.sharp(name or None) for name in names]
     tasks = [
         (one, camera, pool.submit(prepare_in_folder, folder, one, camera)) for one in files for camera in one.frames
     ]
@@ -136,10 +141,22 @@ def _prepare(folder: DataFolder, todo: Sequence[Job], pool: WorkerPool, tell: Pr
     sets: dict[str, SharpSet] = {}
     for one in files:
         prepared = [task.result() for its, _, task in tasks if its is one]
-        first = next(iter(sets.values()), None)
+        first = naming or next(iter(sets.values()), None)
         # In a worker, since this process may run many threads of linear algebra that only hinder each other.
         sets[one.name] = pool.submit(assemble, folder, one, prepared, like=first).result()
     return sets
+
+
+def _naming_set(folder: DataFolder, first_used: str, pool: WorkerPool) -> SharpSet | None:
+    """A sharp set of before the first one in use, whose names for the targets all others keep; None without any."""
+    for name in folder.sharp_sets():
+        if name == first_used:
+            break
+        try:
+            return pool.submit(prepare_sharp, folder.root, name or None).result()
+        except (DataError, ConfigError):
+            continue  # a sharp set that failed and was taken again
+    return None
 
 
 def _measure(

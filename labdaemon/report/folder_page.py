@@ -97,7 +97,9 @@ def _facts(folder: Path) -> dict[str, dict[str, str]]:
     facts: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob("captures/*/capture.toml")):
         _, about = read_toml(path)
-        told = {}
+        label, capture = str(about.get("label") or ""), path.parent.name
+        # The name of a planned capture is its step's label and a number: nothing new.
+        told = {"label": label} if label and not capture.startswith(label) else {}
         if "frequency_hz" in about:
             told["excitation"] = f"{about['frequency_hz']:g} Hz"
         if "excitation_amplitude_mm" in about:

@@ -9,12 +9,12 @@ from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.places import campaign_folder
 from labdaemon.off_loop import off_loop
+from labdaemon.service.capture_parameters import capture_request
 from labdaemon.service.parameters import Parameters
 from labdaemon.stream.commands import Handler
 from labdaemon.stream.events import replay
 from labdaemon.tomlfile import MAX_BYTES
 
-MAX_LABEL = 200
 MAX_ID = 200
 """Characters of a campaign's or request's id."""
 
@@ -63,12 +63,7 @@ def handlers(
         return {"campaign": await engine.abort(_campaign(Parameters(params, "campaign")))}
 
     async def capture(params: dict[str, Any]) -> Any:
-        given = Parameters(params, "label", "sharp", "request_id")
-        taken = await engine.capture(
-            given.text("label", default="", longest=MAX_LABEL),
-            is_sharp=given.flag("sharp"),
-            request_id=given.optional_text("request_id", longest=MAX_ID),
-        )
+        taken = await engine.capture(capture_request(params))
         return {"capture": taken.name, "opened_at": taken.opened_at}
 
     async def stop(params: dict[str, Any]) -> Any:

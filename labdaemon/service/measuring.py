@@ -7,7 +7,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from labdaemon.campaign.measuring import Measured
+from labdaemon.errors import ConfigError, DataError
+from labdaemon.off_loop import off_loop
 from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
+from labdaemon.processing.folder import sharp_sets
 from labdaemon.service.result_files import ResultFiles, captures_in, stamp
 
 SHARP_SETS_KEPT = 4
@@ -65,18 +68,22 @@ class PoolMeasurer:
             while len(self._prepared) >= SHARP_SETS_KEPT:
                 del self._prepared[next(iter(self._prepared))]
             task = asyncio.create_task(self._prepare(folder, sharp))
-            self._prepared[key] = task
+        else:
+            del self._prepared[key]  # the one that was used last is dropped last
+        self._prepared[key] = task
         return await asyncio.shield(task)
 
-    async def _prepare(self, folder: Path, sharp: str | None) -> SharpSet:
-        first = await asyncio.to_thread(_first_set, folder)
-        like = await self._sharp_set(folder, first) if sharp != first else None
-        return await asyncio.wrap_future(self._pool.submit(prepare_sharp, folder, sharp, like=like))
-
-
-def _first_set(folder: Path) -> str | None:
-    """The set whose names for the targets all others keep: the flat one where there is one, else the first by name."""
-    root = folder / "sharp"
-    if not root.is_dir() or any(path.is_file() for path in root.iterdir()):
+    async def _naming_set(self, folder: Path, sharp: str | None) -> SharpSet | None:
+        """The first sharp set that can be used, whose names for the targets all later ones keep; as `process` does."""
+        for name in await off_loop(sharp_sets, folder):
+            if name == (sharp or ""):
+                return None
+            try:
+                return await self._sharp_set(folder, name or None)
+            except (DataError, ConfigError):
+                continue  # a sharp set that failed and was taken again
         return None
-    return min((path.name for path in root.iterdir()), default=None)
+
+    async def _prepare(self, folder: Path, sharp: str | None) -> SharpSet:
+        like = await self._naming_set(folder, sharp)
+        return await asyncio.wrap_future(self._pool.submit(prepare_sharp, folder, sharp, like=like))

@@ -12,6 +12,7 @@ import pytest
 from labdaemon.campaign.attempts import Policy
 from labdaemon.campaign.fakes import FakeLab
 from labdaemon.campaign.interlocks import Limits
+from labdaemon.campaign.manual_request import CaptureRequest
 from labdaemon.errors import LimitError
 from labdaemon.journal import records
 from labdaemon.stream.messages import Busy, NotFound, WrongState
@@ -668,10 +669,10 @@ def test_without_a_shaker_the_daemon_keeps_what_others_fire_and_sets_a_lone_fram
 
 def test_a_manual_capture_answers_once_fired_and_is_measured_against_the_last_sharp_set(simulate):
     async def scenario(lab: FakeLab):
-        sharp = await lab.engine.capture("rest", is_sharp=True)
+        sharp = await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
         await lab.clock.sleep(10.0)
         before = lab.clock.monotonic()
-        taken = await lab.engine.capture("first", request_id="q")
+        taken = await lab.engine.capture(CaptureRequest("first", request_id="q"))
         assert lab.clock.monotonic() - before < 1.0
         assert taken.opened_at is not None
         assert records.reply_to(lab.journal, "q") == ("capture", {"capture": taken.name, "opened_at": taken.opened_at})

@@ -1,0 +1,61 @@
+"""What runs while the engine waits, idle or paused: captures that an outside system fires are kept and measured."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from contextlib import suppress
+from typing import Any
+
+from labdaemon.campaign.attempts import Attempts, Policy
+from labdaemon.campaign.manual import ManualCaptures
+from labdaemon.campaign.reporter import Reporter
+from labdaemon.capture.capture import Lab
+from labdaemon.errors import LabdaemonError
+
+
+class OutsideListener:
+    """Listens for outside releases while something else is waited for.
+
+    It listens where the daemon has no trigger or no shaker of its own: then captures are fired by others.
+    """
+
+    def __init__(
+        self, lab: Lab, manual: ManualCaptures, attempts: Attempts, reporter: Reporter, policy: Policy
+    ) -> None:
+        self._lab, self._manual, self._attempts = lab, manual, attempts
+        self._reporter, self._policy = reporter, policy
+
+    async def during(self, wait: Coroutine[Any, Any, None], campaign: str | None) -> None:
+        """Listen until the wait is over, and until what came meanwhile is stored.
+
+        Parameters
+        ----------
+        wait
+            What ends it.
+        campaign
+            The paused campaign that captures go to; None for the manual one.
+        """
+        listening = asyncio.create_task(self._listen(campaign))
+        try:
+            await wait
+        finally:
+            listening.cancel()
+            with suppress(asyncio.CancelledError):
+                await listening
+        await self._manual.finish()
+
+    async def _listen(self, campaign: str | None) -> None:
+        failures = 0
+        while True:
+            try:
+                await self._manual.measuring.take_up(campaign)
+                if self._lab.rig.trigger is not None and self._lab.rig.shaker is not None:
+                    return
+                await self._manual.listen(campaign)
+            except LabdaemonError as exc:
+                failures += 1
+                await self._reporter.fault(exc, campaign=campaign, step=None, action="listen again")
+                await self._lab.clock.sleep(self._policy.pause_s(failures))
+                await self._manual.finish()
+                await self._attempts.settle_down(None, None)

@@ -1,0 +1,52 @@
+"""The parameters of `capture`: what a person or another program states of a capture outside any campaign."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labdaemon.campaign.manual_request import CaptureRequest, is_group_name
+from labdaemon.service.parameters import Parameters
+from labdaemon.stream.messages import InvalidParams
+
+MAX_TEXT = 200
+"""Characters of a label, a group or a request's id."""
+FREQUENCY_HZ = (1e-3, 1e4)
+AMPLITUDE_MM = (0.0, 1e4)
+PHASE_RAD = (-1e4, 1e4)
+EXPOSURE_S = (1e-5, 3600.0)
+
+
+def capture_request(params: dict[str, Any]) -> CaptureRequest:
+    """Read and check them.
+
+    Raises
+    ------
+    InvalidParams
+        Names the one that is unknown, of the wrong type, out of range, or makes no sense with the others.
+    """
+    given = Parameters(
+        params,
+        "label",
+        "sharp",
+        "request_id",
+        "frequency_hz",
+        "excitation_amplitude_mm",
+        "phase_rad",
+        "group",
+        "exposure_s",
+    )
+    group, is_sharp = given.optional_text("group", longest=MAX_TEXT), given.flag("sharp")
+    if group is not None and not is_group_name(group):
+        raise InvalidParams(f"group {group[:40]!r} cannot name a result; use letters, digits, spaces, - and _")
+    if group is not None and is_sharp:
+        raise InvalidParams("group is of blurred captures; a sharp one has none")
+    return CaptureRequest(
+        label=given.text("label", default="", longest=MAX_TEXT),
+        is_sharp=is_sharp,
+        request_id=given.optional_text("request_id", longest=MAX_TEXT),
+        frequency_hz=given.number("frequency_hz", least=FREQUENCY_HZ[0], most=FREQUENCY_HZ[1]),
+        amplitude_mm=given.number("excitation_amplitude_mm", least=AMPLITUDE_MM[0], most=AMPLITUDE_MM[1]),
+        phase_rad=given.number("phase_rad", least=PHASE_RAD[0], most=PHASE_RAD[1]),
+        group=group,
+        exposure_s=given.number("exposure_s", least=EXPOSURE_S[0], most=EXPOSURE_S[1]),
+    )
