@@ -82,9 +82,7 @@ class CampaignFiles:
         StorageError
             The folder refuses the files.
         """
-        await self.reporter.patiently(
-            lambda: self.recorder.on_disk(renew_folder, self.data, record.id, self.files)
-        )
+        await self.reporter.patiently(lambda: self.recorder.on_disk(renew_folder, self.data, record.id, self.files))
 
     async def close(self, record: CampaignRecord) -> StorageError | None:
         """Write the result files as the journal has them, synced; the reason where the folder refuses them."""
@@ -95,6 +93,8 @@ class CampaignFiles:
         except StorageError as exc:
             return exc
         return None
+
+
 def renew_folder(data: Path, campaign: str, files: Mapping[str, str]) -> list[str]:
     """Make the folder with these files in it; a file that says something else is kept under another name.
 
