@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from labdaemon.blur.motion import Window
-from labdaemon.cli.parts import Parts
+from labdaemon.cli.parts import Parts, print_notes
 from labdaemon.errors import UsageError
 from labdaemon.processing.frame import measure_frames
 from labdaemon.processing.prepare import name_dots, prepare_camera, prepare_patches
@@ -76,10 +76,12 @@ def measure(
             camera = name_dots(prepare_camera("", sharp, keep_dots=method == "paper"))
         parts("sharp frames", 1, 1)
         rows: list[Row] = []
+        notes = list(camera.notes)
         for done, path in enumerate(blurred, start=1):
             result = measure_frames(camera, [path], [window], method=method)
             mine = [measurement_row(path.stem, "", one) for one in result.measurements]
             rows += mine
+            notes += result.notes
             if overlay is not None:
                 write_overlay(path, mine, overlay_path(overlay, path.stem, ""), path.stem)
             parts("blurred frames", done, len(blurred))
@@ -88,6 +90,7 @@ def measure(
     else:
         write_csv(out, MEASUREMENT_COLUMNS, rows)
     _summary(rows, console, out)
+    print_notes(console, notes)
 
 
 def _window(frequency: float | None, exposure: float | None, phase: float | None) -> Window | None:

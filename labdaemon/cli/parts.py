@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from types import TracebackType
 from typing import Self
 
@@ -37,3 +38,9 @@ class Parts:
         if what not in self._bars:
             self._bars[what] = self._progress.add_task(what, total=of)
         self._progress.update(self._bars[what], completed=done, total=of)
+
+
+def print_notes(console: Console, notes: Iterable[str]) -> None:
+    """Print what a person should know of the input, a line each."""
+    for note in notes:
+        console.print(f"note: {note}", style="yellow", markup=False, highlight=False, soft_wrap=True)

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from labdaemon.cli.parts import Parts
+from labdaemon.cli.parts import Parts, print_notes
 from labdaemon.orbit_size import size_mm
 from labdaemon.processing.envelope import CaptureResult
 from labdaemon.processing.pool import WorkerPool
@@ -47,8 +47,7 @@ def _summary(result: FolderResult, console: Console) -> None:
     for capture in result.captures:
         table.add_row(*_line(capture))
     Console().print(table)
-    for note in result.notes:
-        console.print(f"note: {note}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    print_notes(console, result.notes)
     click.echo(f"results in {result.out}")
 
 

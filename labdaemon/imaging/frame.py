@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ Grey = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)
 
 CELLS = 50_000
-"""About so many cells of the mosaic tell a frame's colours and brightness."""
+"""About so many cells of the mosaic give a frame's colours and brightness."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,13 +46,18 @@ class RawFrame:
     black
         (bh, bw) float64, repeated likewise: black level, DN. Some files carry one value for every pixel.
     white_level
-        Counts at which the sensor or its converter clips.
+        Counts at which the file says that the sensor or its converter clips.
+    ceilings_dn
+        (channels,) counts at which each channel clips by the frame's own values, inf where they do not show it; None
+        where it was not looked for.
     masked
         (h, w) bool of pixels known to be unusable (clipped in one of the averaged frames), or None.
     frames
         How many frames were averaged; the noise variance is that of one divided by it.
     taken_at, serial, exposure_s
         From the file's metadata: the camera's clock, the body's serial number, the exposure; None or empty if absent.
+    notes
+        What a person should know of the file, one line each.
     """
 
     path: Path
@@ -65,6 +70,8 @@ class RawFrame:
     taken_at: datetime | None = None
     serial: str = ""
     exposure_s: float | None = None
+    ceilings_dn: FloatArray | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,14 +90,28 @@ class RawFrame:
         return 2 if self.channels > 1 else 1
 
     @property
-    def saturation_dn(self) -> float:
-        """Counts (black included) from which a pixel is taken as saturated."""
-        return self.white_level - SATURATION_MARGIN * (self.white_level - float(self.black.mean()))
+    def clip_dn(self) -> FloatArray:
+        """(ph, pw) counts at which each pixel of the repeating cell clips: white level or lower ceiling."""
+        if self.ceilings_dn is None:
+            return np.full(self.pattern.shape, self.white_level)
+        return np.minimum(self.ceilings_dn, self.white_level)[self.pattern]
+
+    @property
+    def saturation_dn(self) -> FloatArray:
+        """(ph, pw) counts (black included) from which each pixel of the repeating cell is taken as saturated."""
+        clip = self.clip_dn
+        return clip - SATURATION_MARGIN * (clip - float(self.black.mean()))
 
     def saturated(self) -> NDArray[np.bool_]:
         """(h, w) bool: clipped, here or in one of the averaged frames."""
-        clipped: NDArray[np.bool_] = self.values >= self.saturation_dn
+        clipped = self._reaches(self.saturation_dn, self.values, 0, 0)
         return clipped if self.masked is None else clipped | self.masked
+
+    def _reaches(self, level: FloatArray, values: NDArray[Any], x0: int, y0: int) -> NDArray[np.bool_]:
+        """(h, w) bool of values of a part of the frame that reach a level given for the repeating cell."""
+        first = level[0, 0]
+        limit = first if (level == first).all() else _tile(level, x0, y0, values.shape[1], values.shape[0])
+        return np.asarray(values >= limit)
 
     def channel(self, x0: int, y0: int, w: int, h: int) -> NDArray[np.uint8]:
         """(h, w) colour channel of each pixel of a rectangle, which may reach beyond the frame."""
@@ -112,7 +133,7 @@ class RawFrame:
         values, valid = np.zeros((h, w)), np.zeros((h, w), dtype=np.bool_)
         if bx > ax and by > ay:
             raw = self.values[ay:by, ax:bx]
-            good = raw < self.saturation_dn
+            good = ~self._reaches(self.saturation_dn, raw, ax, ay)
             if self.masked is not None:
                 good &= ~self.masked[ay:by, ax:bx]
             light = raw - _tile(self.black, ax, ay, bx - ax, by - ay)
@@ -148,7 +169,7 @@ class RawFrame:
 
     def _gains(self, cells: FloatArray) -> FloatArray:
         black = _tile(self.black, 0, 0, *self.pattern.shape[::-1]).ravel()
-        usable = (cells < self.saturation_dn).all(axis=0)
+        usable = (cells < self.saturation_dn.reshape(-1, 1)).all(axis=0)
         light = (cells - black[:, None])[:, usable]
         if light.shape[1] < 16:
             return np.ones(self.channels)
@@ -174,7 +195,9 @@ class RawFrame:
         height, width = self.values.shape
         cells = self._cells()
         gains = self._gains(cells) if self.channels > 1 else np.ones(1)
-        scale = gains[self.pattern] / (self.white_level - float(self.black.mean()))
+        # Where any channel may have clipped, all are shown as white.
+        scale = gains[self.pattern]
+        scale = scale / float((scale * (self.clip_dn - float(self.black.mean()))).min())
         black = _tile(self.black, 0, 0, *self.pattern.shape[::-1])
         sample = np.minimum((cells - black.reshape(-1, 1)) * scale.reshape(-1, 1), 1.0).mean(axis=0)
         everywhere = self.black.shape == self.values.shape
@@ -233,9 +256,17 @@ def mean_frame(frames: Sequence[RawFrame]) -> RawFrame:
             raise DataError(
                 f"comes from another sensor than {first.path.name}; keep them in separate sets", file=other.path
             )
+    ceilings = [frame.ceilings_dn for frame in frames if frame.ceilings_dn is not None]
     total = np.zeros(first.values.shape, dtype=np.float32)
     masked = np.zeros(first.values.shape, dtype=np.bool_)
     for frame in frames:
         total += frame.values
         masked |= frame.saturated()
-    return replace(first, values=total / np.float32(len(frames)), masked=masked, frames=len(frames))
+    return replace(
+        first,
+        values=total / np.float32(len(frames)),
+        masked=masked,
+        frames=len(frames),
+        ceilings_dn=np.min(ceilings, axis=0) if ceilings else None,
+        notes=tuple(note for frame in frames for note in frame.notes),
+    )

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import rawpy
-import tifffile
 from numpy.typing import NDArray
 
 from labdaemon.errors import DataError
-from labdaemon.imaging.filetags import TIFF_MAGICS, FileTags, read_tags
+from labdaemon.imaging.ceiling import find_ceilings
+from labdaemon.imaging.file_tags import TIFF_LIKE, FileTags, read_tags
 from labdaemon.imaging.frame import RawFrame, mean_frame
+from labdaemon.imaging.frame_checks import empty_note, empty_rows, refuse_mosaic
+from labdaemon.imaging.grey_files import PNG_MAGIC, read_png, read_tiff
+from labdaemon.imaging.library_output import captured_stderr
 
 __all__ = ["RawFrame", "mean_frame", "read_frame"]
 
-_PNG = b"\x89PNG\r\n\x1a\n"
+PIXELS_A_BYTE = 256
+"""Pixels for each byte of a file above which it holds no frame, only tags."""
 
 
 def read_frame(path: Path | str, *, expect_size: tuple[int, int] | None = None) -> RawFrame:
@@ -32,8 +37,9 @@ def read_frame(path: Path | str, *, expect_size: tuple[int, int] | None = None) 
     Raises
     ------
     DataError
-        The file is missing, cut short, a JPEG, a colour picture, of another size, or from a sensor whose colour filter
-        is not a Bayer mosaic (X-Trans, Foveon).
+        The file is missing, cut short, damaged, a JPEG, a colour image, several images, a colour sensor's mosaic saved
+        as grey, of another size, or from a sensor whose colour filter is not a Bayer mosaic (Quad Bayer, X-Trans,
+        Foveon).
     """
     path = Path(path)
     magic = _magic(path)
@@ -41,18 +47,30 @@ def read_frame(path: Path | str, *, expect_size: tuple[int, int] | None = None) 
         raise DataError(
             "is a JPEG, not RAW: its tone curve hides how long a target stayed; set the camera to RAW", file=path
         )
-    if magic == _PNG:
-        frame = _grey_picture(path, _png(path), FileTags(is_raw=False))
+    if magic == PNG_MAGIC:
+        frame = _grey_frame(path, read_png(path), FileTags(is_raw=False))
     else:
-        tags = read_tags(path) if magic[:4] in TIFF_MAGICS else FileTags(is_raw=True)
-        frame = _raw(path, tags) if tags.is_raw else _grey_picture(path, _tiff(path), tags)
+        tags = read_tags(path) if magic[:4] in TIFF_LIKE else FileTags(is_raw=True)
+        frame = _raw(path, tags) if tags.is_raw else _grey_frame(path, read_tiff(path, tags), tags)
     if expect_size is not None and frame.size != tuple(expect_size):
         raise DataError(
             f"is {frame.size[0]}x{frame.size[1]} pixels, but image_size says {expect_size[0]}x{expect_size[1]}: "
             "another camera's file, or image_size is not that of the visible RAW area",
             file=path,
         )
-    return frame
+    return _checked(frame)
+
+
+def _checked(frame: RawFrame) -> RawFrame:
+    """The frame with what its values show of sensor and file."""
+    values = np.asarray(frame.values, dtype=np.uint16)
+    if frame.channels == 1:
+        refuse_mosaic(frame.path, values)
+    empty = empty_rows(values)
+    if empty.any():
+        masked = np.repeat(empty[:, None], values.shape[1], axis=1)
+        frame = replace(frame, masked=masked, notes=(empty_note(frame.path, empty),))
+    return replace(frame, ceilings_dn=find_ceilings(values, frame.pattern))
 
 
 def _magic(path: Path) -> bytes:
@@ -69,19 +87,30 @@ def _magic(path: Path) -> bytes:
 
 
 def _raw(path: Path, tags: FileTags) -> RawFrame:
-    try:
-        with rawpy.imread(str(path)) as raw:
-            pattern = _pattern(path, raw)
-            values = np.array(raw.raw_image_visible, dtype=np.uint16)
-            black = _black(raw, tags, pattern)
-            white = float(raw.white_level)
-            linear = raw.camera_white_level_per_channel
-    except rawpy.LibRawError as exc:
-        text = exc.args[0].decode() if exc.args and isinstance(exc.args[0], bytes) else str(exc)
-        reason = text[:1].lower() + text[1:]
-        raise DataError(f"LibRaw cannot read it ({reason}); it is damaged or not a RAW file", file=path) from exc
-    if linear is not None and min(linear) > 0.5 * white:  # smaller ones are makers' tags misread
-        white = min(white, float(min(linear)))
+    problem, unpacked = "", None
+    with captured_stderr() as printed:
+        try:
+            with rawpy.imread(str(path)) as raw:
+                pattern = _pattern(path, raw)
+                values = np.array(raw.raw_image_visible, dtype=np.uint16)
+                unpacked = pattern, values, _black(raw, tags, pattern), _white(raw)
+        except rawpy.LibRawError as exc:
+            text = exc.args[0].decode() if exc.args and isinstance(exc.args[0], bytes) else str(exc)
+            problem = text[:1].lower() + text[1:]
+        except (MemoryError, ValueError, OSError) as exc:  # sizes in a damaged header may be anything
+            problem = str(exc) or type(exc).__name__
+    if unpacked is None:
+        reason = " ".join(problem.split())
+        raise DataError(f"LibRaw cannot read it ({reason}); it is damaged or not a RAW file", file=path)
+    if printed.reports_damage:
+        raise DataError("the file is truncated or damaged: its pixels cannot all be decoded; fetch it again", file=path)
+    pattern, values, black, white = unpacked
+    if path.stat().st_size * PIXELS_A_BYTE < values.size:
+        raise DataError(
+            f"the file is truncated: {path.stat().st_size} bytes hold no {values.shape[1]}x{values.shape[0]} pixels; "
+            "fetch it again",
+            file=path,
+        )
     if white <= float(black.max()):
         raise DataError(f"its white level {white:g} lies below its black level {black.max():g}", file=path)
     return RawFrame(
@@ -94,6 +123,15 @@ def _raw(path: Path, tags: FileTags) -> RawFrame:
         serial=tags.serial,
         exposure_s=tags.exposure_s,
     )
+
+
+def _white(raw: rawpy.RawPy) -> float:
+    """White level as the file states it, DN."""
+    white = float(raw.white_level)
+    linear = raw.camera_white_level_per_channel
+    if linear is not None and min(linear) > 0.5 * white:  # smaller ones are makers' tags misread
+        white = min(white, float(min(linear)))
+    return white
 
 
 def _pattern(path: Path, raw: rawpy.RawPy) -> NDArray[np.uint8]:
@@ -114,6 +152,8 @@ def _pattern(path: Path, raw: rawpy.RawPy) -> NDArray[np.uint8]:
     cell = [
         [raw.raw_color(sizes.top_margin + row, sizes.left_margin + column) for column in range(2)] for row in range(2)
     ]
+    if sorted(channel for row in cell for channel in row) not in ([0, 1, 2, 3], [0, 1, 1, 2]) or cell[0] == cell[1]:
+        raise DataError("has a colour filter that is not a Bayer mosaic; a Bayer or grey sensor is needed", file=path)
     return np.array(cell, dtype=np.uint8)
 
 
@@ -129,34 +169,13 @@ def _black(raw: rawpy.RawPy, tags: FileTags, pattern: NDArray[np.uint8]) -> NDAr
     return levels[pattern]
 
 
-def _tiff(path: Path) -> NDArray[np.generic]:
-    try:
-        picture: NDArray[np.generic] = tifffile.imread(path, key=0)
-    except Exception as exc:  # the codecs raise whatever they like
-        raise DataError(f"cannot be decoded ({exc}); the file is damaged", file=path) from exc
-    return picture
-
-
-def _png(path: Path) -> NDArray[np.generic]:
-    data = path.read_bytes()
-    if b"IEND" not in data[-16:]:
-        raise DataError("the file is truncated; fetch it again", file=path)
-    picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise DataError("cannot be decoded; the file is damaged", file=path)
-    return picture
-
-
-def _grey_picture(path: Path, picture: NDArray[np.generic], tags: FileTags) -> RawFrame:
-    if picture.ndim != 2:
-        raise DataError("is a colour picture; give the RAW file, or a grey TIFF or PNG with linear values", file=path)
-    if picture.dtype not in (np.uint8, np.uint16):
-        raise DataError(f"has values of type {picture.dtype}; a grey TIFF or PNG must have 8 or 16 bits", file=path)
+def _grey_frame(path: Path, values: NDArray[Any], tags: FileTags) -> RawFrame:
+    """A frame of a grey sensor, its values taken as linear from 0 to the largest that the file could hold."""
     return RawFrame(
         path=path,
-        values=picture.astype(np.uint16),
+        values=values.astype(np.uint16),
         pattern=np.zeros((1, 1), dtype=np.uint8),
         black=np.zeros((1, 1)),
-        white_level=255.0 if picture.dtype == np.uint8 else 65535.0,
+        white_level=float(np.iinfo(values.dtype).max),
         taken_at=tags.taken_at,
     )

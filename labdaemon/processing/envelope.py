@@ -230,9 +230,10 @@ def _flags(seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, came
 
 
 def _notes(frames: Sequence[FrameResult], name: str) -> list[str]:
-    return [
+    left_out = [
         f"{name}: {frame.camera}: control target {target} left out, {reason}"
         for frame in frames
         for motion in frame.motions
         for target, reason in motion.excluded.items()
     ]
+    return [*(note for frame in frames for note in frame.notes), *left_out]

@@ -66,6 +66,8 @@ class FrameResult:
     evidence
         For each target, twice the logarithm of the odds that it stood on the side of +a and not of −a at the middle of
         the exposure, by the phase that it shares with the others (`relative_signs`); empty for whole cycles and groups.
+    notes
+        What a person should know of the files, one line each.
     """
 
     camera: str
@@ -73,6 +75,7 @@ class FrameResult:
     shifts: tuple[FrameShift, ...]
     motions: tuple[CameraMotion, ...] = ()
     evidence: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def evidence_of(self, index: int) -> float:
         """Evidence for one target's sign."""
@@ -150,6 +153,7 @@ def measure_raw(
         tuple(look.shift for look in looks),
         tuple(motion for motion in motions if motion is not None),
         evidence,
+        tuple(note for frame in frames for note in frame.notes),
     )
 
 

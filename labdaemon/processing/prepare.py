@@ -85,6 +85,8 @@ class PreparedCamera:
     dots
         Each dot as found and the part of the first sharp frame that holds it: what the published method starts from.
         Empty unless asked for.
+    notes
+        What a person should know of its sharp frames, one line each.
     """
 
     name: str
@@ -96,6 +98,7 @@ class PreparedCamera:
     orientation: Orientation | None = None
     thumbnails: tuple[Thumbnail, ...] = ()
     dots: tuple[tuple[Dot, Patch], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def centres_px(self) -> FloatArray:
@@ -162,15 +165,17 @@ def prepare_frames(
     else:
         known = [point.name for point in survey.control]
         control = find_control(frame, frames, grey, survey.family, lens=survey.lens, known=known)
-        _enough(control, survey, file)
+        _enough(control, survey, file, frame)
         orientation = _orient(control, survey, file)
         sizes = _sizes(orientation.view, survey)
     dots = find_dots(grey, diameter_range_px=sizes, exclude=control.outlines)
     if not dots and sizes != ORDINARY_PX:
         dots = find_dots(grey, exclude=control.outlines)  # of other sizes than the rig file says: for a better message
     if not dots:
+        cause = f"; {frame.notes[0]}" if frame.notes else ""
         raise DataError(
-            "no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed", file=file
+            f"no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed{cause}",
+            file=file,
         )
     fitted = [(dot, _fit(dot, frames)) for dot in dots]
     usable = _all_in_doubt([(dot, target) for dot, target in fitted if target.usable])
@@ -187,6 +192,7 @@ def prepare_frames(
         control,
         orientation,
         dots=tuple((dot, _around(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
+        notes=frame.notes,
     )
 
 
@@ -231,7 +237,16 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
         targets.append(sharp_texture(cuts, (x, y, w, h), name=f"P{number:02d}"))
     grey = frame.grey()
     thumbnails = tuple(Thumbnail.cut(grey, box) for box in boxes)
-    return PreparedCamera("", file, frame.size, tuple(targets), (), ControlTargets(TAG_FAMILY), thumbnails=thumbnails)
+    return PreparedCamera(
+        "",
+        file,
+        frame.size,
+        tuple(targets),
+        (),
+        ControlTargets(TAG_FAMILY),
+        thumbnails=thumbnails,
+        notes=frame.notes,
+    )
 
 
 def _all_in_doubt(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:
@@ -245,13 +260,14 @@ def _all_in_doubt(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, Shar
     return [(dot, replace(target, flags=target.flags | {Flag.POOR_FIT})) for dot, target in usable]
 
 
-def _enough(control: ControlTargets, survey: CameraSurvey, file: Path) -> None:
+def _enough(control: ControlTargets, survey: CameraSurvey, file: Path, frame: RawFrame) -> None:
     if len(control.names) >= LEAST_CONTROL:
         return
     seen = f" ({', '.join(control.names)})" if control.names else ""
     raise DataError(
         f"{len(control.names)} of the {len(survey.control)} control targets of control.csv found in this frame{seen}, "
-        f"at least {LEAST_CONTROL} are needed: check light, focus, [control] family and names",
+        f"at least {LEAST_CONTROL} are needed: check light, focus, [control] family and names"
+        + (f"; {frame.notes[0]}" if frame.notes else ""),
         file=file,
     )
 

@@ -139,6 +139,7 @@ def assemble(
         dots, sure = np.array([track.dots for track in tracks]), np.array([track.sure for track in tracks])
         names = []
     places = _places(prepared, dots, plane)
+    notes = [*(note for camera in prepared for note in camera.notes), *notes]
     notes += _left_over(prepared, dots) + _not_at_rest(prepared)
     if not names:
         names = (

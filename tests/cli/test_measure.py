@@ -193,3 +193,46 @@ def test_a_second_dot_in_a_targets_patch_is_flagged_or_harmless(
     row = read_csv(out)[0]
     near = row["ax_px"] not in (None, "") and abs(abs(float(str(row["ax_px"]))) - 3) < 0.15
     assert near or row["flags"]
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14])
+@pytest.mark.parametrize("over", [1.0, 1.3])
+def test_a_ceiling_below_the_container_s_is_masked_or_flagged(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sharp: Path, blurred: Path, bits: int, over: float
+) -> None:
+    files, top = [], 2**bits - 1
+    for file in (sharp, blurred):
+        picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) * (over * top / 30000)
+        files.append(tmp_path / file.name)
+        cv2.imwrite(str(files[-1]), np.clip(np.rint(picture), 0, top).astype(np.uint16))
+    out = tmp_path / "out.csv"
+    assert run(monkeypatch, "--sharp", *files, "--out", out) == 0
+    for row, a in zip(read_csv(out), MOTION, strict=True):
+        near = row["ax_px"] not in (None, "") and abs(
+            np.hypot(float(str(row["ax_px"])), float(str(row["ay_px"]))) - np.hypot(*a)
+        )
+        assert row["flags"] or near < 0.15
+
+
+@pytest.mark.parametrize("which", ["sharp", "blurred"])
+def test_rows_that_were_never_written_are_named_and_nothing_is_measured_there(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    sharp: Path,
+    blurred: Path,
+    which: str,
+) -> None:
+    files = {"sharp": sharp, "blurred": blurred}
+    picture = cv2.imread(str(files[which]), cv2.IMREAD_UNCHANGED)
+    picture[130:] = 0
+    files[which] = tmp_path / f"{which}.png"
+    cv2.imwrite(str(files[which]), picture)
+    out = tmp_path / "out.csv"
+    assert run(monkeypatch, "--sharp", files["sharp"], files["blurred"], "--out", out) == 0
+    notes = [line for line in capsys.readouterr().err.splitlines() if line.startswith("note:")]
+    assert len(notes) == 1
+    assert f"{which}.png: 150 of 280 rows are zero" in notes[0]
+    rows = {row["target"]: row for row in read_csv(out)}
+    assert abs(np.hypot(float(str(rows["T01"]["ax_px"])), float(str(rows["T01"]["ay_px"]))) - 3.0) < 0.15
+    assert "T03" not in rows or "not_found" in str(rows["T03"]["flags"])

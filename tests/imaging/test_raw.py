@@ -127,13 +127,20 @@ def bad_file(kind: str, folder: Path, write_dng: Writer) -> Path:
         case "png cut":
             cv2.imwrite(str(folder / "p.png"), counts())
             path.write_bytes((folder / "p.png").read_bytes()[:-40])
-        case "colour picture":
+        case "colour image":
             cv2.imwrite(str(folder / "c.png"), np.dstack([counts()] * 3))
             path.write_bytes((folder / "c.png").read_bytes())
         case "float picture":
             tifffile.imwrite(path, counts().astype(np.float32))
         case "X-Trans":
             write_dng(path, counts(), cfa=XTRANS, repeat=(6, 6))
+        case "Quad Bayer":
+            write_dng(path, counts(), cfa=tuple(np.kron([[0, 1], [1, 2]], np.ones((2, 2), int)).ravel()), repeat=(4, 4))
+        case "floating-point DNG":
+            write_dng(path, counts().astype(np.float32))
+        case "mosaic saved as grey":
+            light = 3000 * np.tile([[0.6, 1.0], [1.0, 0.5]], (60, 80)) * np.linspace(0.7, 1, 160)
+            tifffile.imwrite(path, np.random.default_rng(1).poisson(light).astype(np.uint16), metadata=None)
         case "folder":
             path.mkdir()
         case _:
@@ -152,9 +159,12 @@ def bad_file(kind: str, folder: Path, write_dng: Writer) -> Path:
         ("text", "not a RAW"),
         ("jpeg", "JPEG"),
         ("png cut", "truncated"),
-        ("colour picture", "colour picture"),
+        ("colour image", "colour image"),
         ("float picture", "8 or 16 bits"),
         ("X-Trans", "X-Trans"),
+        ("Quad Bayer", "Quad Bayer"),
+        ("floating-point DNG", "floating-point"),
+        ("mosaic saved as grey", "mosaic of a colour sensor"),
         ("folder", "cannot be read"),
     ],
 )
