@@ -61,6 +61,10 @@ class DataError(LabdaemonError):
         super().__init__(f"{file}: {message}" if file is not None else message)
 
 
+class SetupError(DataError):
+    """What all results of a camera depend on is wrong; nothing is worth capturing until a person has mended it."""
+
+
 class StorageError(DataError):
     """A file or folder cannot be written (or a disk cannot be read)."""
 

@@ -19,7 +19,7 @@ from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.recover import reconnect_suspects, recover
 from labdaemon.capture.rig import Rest
-from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, StorageUnavailable
+from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, SetupError, StorageUnavailable
 from labdaemon.journal import transitions
 
 MAX_BACKOFF_S = 60.0
@@ -170,6 +170,8 @@ class Attempts:
         action = step.on_fault
         if action == "retry" and (isinstance(exc, InterlockError) or failures >= self._policy.max_tries):
             action = "pause"
+        if isinstance(exc, SetupError):
+            action = "pause"  # to go on would shake through the night for nothing
         self._suspect(exc)
         try:
             await self.leave()

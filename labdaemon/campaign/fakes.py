@@ -21,7 +21,7 @@ from labdaemon.capture.lines import InlineLine
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.table import Table
 from labdaemon.clock import SimulatedClock
-from labdaemon.errors import DataError, StorageError
+from labdaemon.errors import DataError, SetupError, StorageError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
@@ -39,6 +39,8 @@ class FakeMeasurer:
         Time that one measurement takes.
     refusal
         Message with which every capture is refused; empty to measure.
+    wrong_size
+        Message with which first frames are refused; empty to take them.
     poisoned
         Names of captures that cannot be measured.
     flags, amplitude_mm
@@ -56,6 +58,7 @@ class FakeMeasurer:
     results: dict[Path, list[str]] = field(default_factory=dict)
     refuses: StorageError | None = None
     refusal: str = ""
+    wrong_size: str = ""
 
     async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
         await asyncio.sleep(self.measure_s)
@@ -72,6 +75,10 @@ class FakeMeasurer:
             for path in frames
         ]
         return Measured(rows, [{"capture": name, "camera": path.stem} for path in frames])
+
+    async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
+        if self.wrong_size:
+            raise SetupError(self.wrong_size)
 
     def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
         if self.refuses is not None:

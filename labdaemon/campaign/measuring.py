@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from labdaemon.capture.discard import discard_stored
 from labdaemon.capture.places import campaign_folder
 from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
-from labdaemon.errors import LabdaemonError, StorageError, StorageUnavailable
+from labdaemon.errors import LabdaemonError, SetupError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import NO_STEP, CaptureRecord
 
@@ -47,6 +48,16 @@ class Measurer(Protocol):
         ------
         LabdaemonError
             It cannot be measured; trying again helps only if it says so.
+        """
+        ...
+
+    async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
+        """Look at the first frames, camera and file of each, of a campaign.
+
+        Raises
+        ------
+        SetupError
+            One has another size than the rig file says.
         """
         ...
 
@@ -103,6 +114,8 @@ class Measuring:
         self._broken: BaseException | None = None
         self.patiently: Patience = self._until_taken
         """Does work that the disk may refuse for a while; the engine's own reports it."""
+        self._checked: set[str] = set()
+        """Campaigns whose first frames were looked at."""
         self._reported: set[tuple[str, str]] = set()
         """Campaign and message of what manual captures could not be measured for."""
         self.finished = 0
@@ -121,8 +134,15 @@ class Measuring:
         """Measure a stored capture, or its group once all members are stored; waits while the queue is full.
 
         Raises what broke an earlier measurement in a way that nobody has foreseen.
+
+        Raises
+        ------
+        SetupError
+            The campaign's first frames are not what the rig file says: none of its captures could be measured.
         """
         self._raise_if_broken()
+        if capture.step != NO_STEP:
+            await self._check_first(capture)
         if capture.is_sharp or (capture.grouped is not None and capture.step == NO_STEP):
             return  # the size of a manual group is not known: whoever takes its captures says when it is complete
         members = self._members(capture)
@@ -210,6 +230,19 @@ class Measuring:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _check_first(self, capture: CaptureRecord) -> None:
+        """Look at a campaign's first frames before anything else of it is captured; give them up if they are wrong."""
+        if capture.campaign in self._checked:
+            return
+        stored = records.frames(self._recorder.journal, capture.campaign, capture.name)
+        frames = [(frame.camera, self._data / frame.path) for frame in stored if frame.state == "stored"]
+        try:
+            await self._measurer.check_frames(campaign_folder(self._data, capture.campaign), frames)
+        except SetupError as exc:
+            await discard_stored(self._recorder, self._data, capture, str(exc))
+            raise
+        self._checked.add(capture.campaign)
 
     def _members(self, capture: CaptureRecord) -> list[CaptureRecord] | None:
         if capture.grouped is None:

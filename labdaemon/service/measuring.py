@@ -7,10 +7,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from labdaemon.campaign.measuring import Measured
-from labdaemon.errors import ConfigError, DataError
+from labdaemon.errors import ConfigError, DataError, LabdaemonError, SetupError
 from labdaemon.off_loop import off_loop
 from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
 from labdaemon.processing.folder import sharp_sets
+from labdaemon.processing.frame_size import check_frame_sizes
 from labdaemon.service.result_files import ResultFiles, captures_in, stamp
 
 SHARP_SETS_KEPT = 4
@@ -43,6 +44,21 @@ class PoolMeasurer:
         sharp_set = await self._sharp_set(folder, sharp)
         result = await asyncio.wrap_future(self._pool.submit(measure_capture, folder, sharp_set, tuple(captures), name))
         return Measured(list(result.envelope_rows), list(result.measurement_rows))
+
+    async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
+        """Compare the sizes of a campaign's first frames with its rig file.
+
+        Raises
+        ------
+        SetupError
+            They differ.
+        """
+        try:
+            await asyncio.wrap_future(self._pool.submit(check_frame_sizes, folder, list(frames)))
+        except SetupError:
+            raise
+        except LabdaemonError:
+            return  # a frame that takes its worker with it is no question of the set-up; measuring reports it
 
     def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
         """Write both result files anew, durably."""

@@ -683,6 +683,27 @@ def test_a_manual_capture_answers_once_fired_and_is_measured_against_the_last_sh
     simulate(scenario)
 
 
+@pytest.mark.parametrize("on_fault", ["retry", "skip", "abort"])
+def test_frames_of_another_size_hold_the_campaign_at_the_first_of_them(simulate, on_fault: str):
+    async def scenario(lab: FakeLab):
+        lab.measurer.wrong_size = "camera left delivers 64x48 pixels, but image_size says 60x40"
+        id = await lab.submit(THREE.format(on_fault=on_fault))
+        record = await lab.until(id)
+        assert record.state == "paused"
+        assert "image_size says 60x40" in (record.reason or "")
+        assert kinds(lab).count("capture.completed") == 1
+        assert kinds(lab).count("fault") == 1
+        assert not lab.world.stopped_at or lab.world.amplitude_mm == 0.0  # nothing ever moved
+        assert len(list((lab.data / "campaigns" / id / "set_aside").rglob("*.DNG"))) == 2
+        lab.measurer.wrong_size = ""  # a person has mended the body's setting
+        await lab.engine.resume()
+        assert (await lab.until(id, "completed", "paused")).state == "completed"
+        assert len(envelopes(lab)) == 3
+        assert len(list((lab.data / "campaigns" / id / "sharp").glob("*.dng"))) == 6
+
+    simulate(scenario)
+
+
 def test_a_step_waits_for_its_hours(simulate):
     async def scenario(lab: FakeLab):
         toml = RETRY.replace("on_fault", 'not_before = "02:00"\nnot_after = "05:00"\non_fault')
