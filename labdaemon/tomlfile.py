@@ -89,9 +89,13 @@ def parse_model(model: type[Model], data: dict[str, Any], *, source: Path | str 
     try:
         return model.model_validate(data, context=context)
     except ValidationError as exc:
-        details = exc.errors(include_url=False)
-        worst = max(details, key=lambda detail: (detail["type"] == "unknown_key", len(_location(detail, data))))
-        raise ConfigError(_sentence(worst), source=source, key=dotted(_location(worst, data))) from None
+        raise worst_mistake(exc.errors(include_url=False), data, source=source) from None
+
+
+def worst_mistake(details: list[ErrorDetails], data: dict[str, Any], *, source: Path | str | None) -> ConfigError:
+    """The mistake that is reported, of several that pydantic found in a document."""
+    worst = max(details, key=lambda detail: (detail["type"] == "unknown_key", len(_location(detail, data))))
+    return ConfigError(_sentence(worst), source=source, key=dotted(_location(worst, data)))
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdaemon.errors import UsageError
 from labdaemon.imaging.frame import RawFrame
-from labdaemon.imaging.raw import read_frame
+from labdaemon.imaging.raw import check_frame, read_frame
 
 FrameLike: TypeAlias = "str | PathLike[str] | RawFrame | NDArray[np.generic]"
 """A file, a frame that was read, or an array of linear values."""
@@ -57,6 +57,8 @@ def frame_from_array(
     ------
     UsageError
         The array is not a grey image or a mosaic, has values that are not finite, or its white level is missing.
+    DataError
+        It is a mosaic, and `bayer` does not say so.
     """
     array = np.asarray(values)
     _refuse_wrong_shape(array, name)
@@ -74,7 +76,7 @@ def frame_from_array(
         pattern = np.array(BAYER_CELLS[bayer.upper()], dtype=np.uint8)
     kept: NDArray[np.uint16] | NDArray[np.float32]
     kept = array.astype(np.uint16) if array.dtype in (np.uint8, np.uint16) else array.astype(np.float32)
-    return RawFrame(Path(name), kept, pattern, np.full((1, 1), float(black_level)), white)
+    return check_frame(RawFrame(Path(name), kept, pattern, np.full((1, 1), float(black_level)), white))
 
 
 def as_frames(source: FrameLike | Sequence[FrameLike], name: str) -> list[RawFrame]:

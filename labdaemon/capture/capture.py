@@ -163,7 +163,7 @@ async def keep(lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile]) 
 def exposure_of(frame: Path) -> float | None:
     """Exposure that a frame's file states, as its body names it; None if it does not. Blocks."""
     # Imported here: reading frames loads libraries, and the table must be at rest before anything is loaded.
-    from labdaemon.imaging.filetags import read_tags
+    from labdaemon.imaging.file_tags import read_tags
 
     try:
         return read_tags(frame).exposure_s

@@ -107,7 +107,7 @@ class FileTags:
 
 
 def read_tags(path: Path) -> FileTags:
-    """Read the tags of a TIFF-like file and check that its image lies inside it.
+    """Read the tags of a TIFF-like file and check that its image lies inside it; of another file nothing is known.
 
     Raises
     ------
@@ -116,6 +116,9 @@ def read_tags(path: Path) -> FileTags:
         measured: floating-point values, or a colour filter that does not repeat every two pixels.
     """
     size = path.stat().st_size
+    with path.open("rb") as stream:
+        if stream.read(4) not in TIFF_LIKE:
+            return FileTags(is_raw=True)
     directories = read_directories(path)
     main = [one for one in directories if one.number(PHOTOMETRIC) in (_CFA, _LINEAR_RAW)]
     for one in main or directories:

@@ -18,7 +18,7 @@ from labdaemon.imaging.frame_checks import empty_note, empty_rows, refuse_mosaic
 from labdaemon.imaging.grey_files import PNG_MAGIC, read_png, read_tiff
 from labdaemon.imaging.library_output import captured_stderr
 
-__all__ = ["RawFrame", "mean_frame", "read_frame"]
+__all__ = ["RawFrame", "check_frame", "mean_frame", "read_frame"]
 
 PIXELS_A_BYTE = 256
 """Pixels for each byte of a file above which it holds no frame, only tags."""
@@ -58,11 +58,21 @@ def read_frame(path: Path | str, *, expect_size: tuple[int, int] | None = None) 
             "another camera's file, or image_size is not that of the visible RAW area",
             file=path,
         )
-    return _checked(frame)
+    return check_frame(frame)
 
 
-def _checked(frame: RawFrame) -> RawFrame:
-    """The frame with what its values show of sensor and file."""
+def check_frame(frame: RawFrame) -> RawFrame:
+    """The frame with what its values show of sensor and file: ceilings, rows that were never written.
+
+    A frame whose values are no counts is returned as it is.
+
+    Raises
+    ------
+    DataError
+        It is declared grey, but is a colour sensor's mosaic.
+    """
+    if frame.values.dtype != np.uint16:
+        return frame
     values = np.asarray(frame.values, dtype=np.uint16)
     if frame.channels == 1:
         refuse_mosaic(frame.path, values)

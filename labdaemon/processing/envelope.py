@@ -16,7 +16,7 @@ from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
 from labdaemon.geometry.plane import motion_on_plane, seen_unmoved
 from labdaemon.geometry.view import View
-from labdaemon.processing.folder import DataFolder, open_folder
+from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.sharpset import SharpSet
 from labdaemon.processing.tables import Row, envelope_row, measurement_row
@@ -89,6 +89,7 @@ def measure_capture(folder: Path, sharp: SharpSet, captures: tuple[str, ...], na
         One line naming the file at fault.
     """
     opened = open_folder(folder)
+    check_frequencies(opened, captures, name)
     frames = [measure_in_folder(opened, sharp, captures, camera.name) for camera in sharp.cameras]
     return join_frames(opened, sharp, frames, captures, name)
 

@@ -7,7 +7,7 @@ a folder comes before work begins.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +21,8 @@ from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, re
 from labdaemon.processing.survey import ControlPoint, TargetPlace, read_control, read_targets
 
 NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
+SAME_FREQUENCY = 1e-3
+"""Relative difference up to which two stated frequencies are one: a generator's setting and a gauge's reading of it."""
 TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
 
 
@@ -164,6 +166,26 @@ def open_folder(root: Path) -> DataFolder:
     control = read_control(root / "control.csv", rig.control.size_mm)
     places = root / "targets.csv"
     return DataFolder(root, rig, control, read_targets(places, control) if places.exists() else ())
+
+
+def check_frequencies(folder: DataFolder, captures: Sequence[str], group: str) -> None:
+    """Check that the captures of a group are of one excitation.
+
+    Raises
+    ------
+    DataError
+        Two of them state different frequencies.
+    """
+    stated = [(name, folder.capture(name).about.frequency_hz) for name in captures]
+    known = [(name, frequency) for name, frequency in stated if frequency is not None]
+    for name, frequency in known[1:]:
+        first, other = known[0]
+        if abs(frequency - other) > SAME_FREQUENCY * other:
+            raise DataError(
+                f"the captures of group {group} have different frequencies: {other:g} Hz ({first}) and "
+                f"{frequency:g} Hz ({name}); give them different groups in capture.toml",
+                file=folder.root / "captures" / name,
+            )
 
 
 def _plain(name: str, what: str, root: Path) -> str:

@@ -1,13 +1,13 @@
 """`rig.toml` of a data-set folder: what a person writes about cameras, targets and control targets.
 
-The daemon's own rig file may be copied here as it is: sections and keys that only its devices need are left alone.
-A key that is nearly one of ours is a slip of the pen and is refused.
+It is a rig file as the daemon's, checked by the same model (`labdaemon.rig_sections`). The daemon's own file may be
+copied here as it is. What only the daemon needs may be missing; where it is there, its keys and values are checked too.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,9 +15,24 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from labdaemon import tomlfile
 from labdaemon.errors import ConfigError
+from labdaemon.rig_sections import (
+    CameraSection,
+    ControlSection,
+    DriverSection,
+    GaugeSection,
+    RigSections,
+    ShakerSection,
+    TriggerSection,
+)
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+DRIVER_SECTIONS: dict[str, type[DriverSection]] = {
+    "shaker": ShakerSection,
+    "trigger": TriggerSection,
+    "gauge": GaugeSection,
+    "cameras": CameraSection,
+}
 
 
 class _Table(BaseModel):
@@ -47,7 +62,7 @@ class TargetSettings(_Table):
 class ControlSettings(_Table):
     """Kind and size of the control targets: side of a tag's black square, or diameter of a ring target's dot."""
 
-    family: str
+    family: str = ControlSection.model_fields["family"].default
     size_mm: Positive
 
 
@@ -104,21 +119,10 @@ def read_rig(path: Path) -> RigFile:
     Raises
     ------
     ConfigError
-        The file is missing, malformed, has a misspelt key, a camera that is not calibrated, or sizes that can only be
-        metres.
+        The file is missing, malformed, has an unknown key, a value out of range, or a camera that is not calibrated.
     """
     table = read_toml(path)
-    refuse_misspelt(table, frozenset(RigFile.model_fields), path)
-    sections: list[tuple[str, Any, type[BaseModel]]] = [
-        ("targets.", table.get("targets"), TargetSettings),
-        ("control.", table.get("control"), ControlSettings),
-    ]
-    cameras = table.get("cameras")
-    if isinstance(cameras, dict):
-        sections += [(f"cameras.{name}.", camera, CameraSettings) for name, camera in cameras.items()]
-    for prefix, section, model in sections:
-        if isinstance(section, dict):
-            refuse_misspelt(section, frozenset(model.model_fields), path, prefix)
+    _check_sections(table, path)
     try:
         rig = RigFile.model_validate(table)
     except ValidationError as exc:
@@ -132,10 +136,41 @@ def read_rig(path: Path) -> RigFile:
                 source=path,
                 key=f"cameras.{name}",
             )
-    if rig.control.size_mm < 1.0:
-        raise ConfigError(f"{rig.control.size_mm} mm looks like metres", source=path, key="control.size_mm")
-    if min(rig.targets.diameter_mm) < 0.2:
-        raise ConfigError(
-            f"{min(rig.targets.diameter_mm)} mm looks like metres", source=path, key="targets.diameter_mm"
-        )
     return rig
+
+
+def _check_sections(table: dict[str, Any], path: Path) -> None:
+    """Refuse what the model of a rig file refuses, but for keys that only the daemon cannot do without."""
+    try:
+        RigSections.model_validate(table)
+    except ValidationError as exc:
+        details = [one for one in exc.errors(include_url=False) if one["type"] != "missing" or _is_measured(one["loc"])]
+        if details:
+            raise tomlfile.worst_mistake(details, table, source=path) from None
+    for key, section in _driver_tables(table):
+        model = DRIVER_SECTIONS[key.partition(".")[0].partition("[")[0]]
+        known = list(model.model_fields)
+        if "driver" in section:  # further keys are the driver's, which need not be installed here
+            refuse_misspelt(section, frozenset(known), path, f"{key}.")
+            continue
+        for name in section:
+            if name not in known:
+                near = tomlfile.nearest(name, known)
+                hint = f"did you mean {near}?" if near else f"known keys are {', '.join(sorted(known))}"
+                raise ConfigError(f"unknown key; {hint}", source=path, key=f"{key}.{name}")
+
+
+def _is_measured(location: tuple[int | str, ...]) -> bool:
+    """Whether a missing key is one that measuring needs."""
+    return location[0] in RigFile.model_fields and location[-1] not in {"driver", "serial"}
+
+
+def _driver_tables(table: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Key and content of every section that may name a driver."""
+    for name in ("shaker", "trigger"):
+        if name in table:
+            yield name, table[name]
+    for place, gauge in enumerate(table.get("gauge", ())):
+        yield f"gauge[{place}]", gauge
+    for name, camera in table["cameras"].items():
+        yield f"cameras.{name}", camera

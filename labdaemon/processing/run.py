@@ -10,7 +10,7 @@ from pathlib import Path
 
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
-from labdaemon.processing.folder import DataFolder, open_folder
+from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.results_place import ResultsPlace
 from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder, prepare_sharp
@@ -64,7 +64,7 @@ def jobs(folder: DataFolder) -> list[Job]:
     Raises
     ------
     DataError, ConfigError
-        A capture's file is missing or wrong, or a group's captures name different sharp sets.
+        A capture's file is missing or wrong, or a group's captures name different sharp sets or frequencies.
     """
     members: dict[str, list[str]] = {}
     kind: dict[str, tuple[bool, str | None]] = {}
@@ -78,6 +78,8 @@ def jobs(folder: DataFolder) -> list[Job]:
         if sharp != about.sharp:
             raise DataError(f"the captures of group {report} name different sharp sets", file=where)
         members[report] = [*members.pop(report, []), name]
+    for report, captures in members.items():
+        check_frequencies(folder, captures, report)
     return [Job(name, tuple(captures), kind[name][1]) for name, captures in members.items()]
 
 

@@ -15,21 +15,8 @@ from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.campaign.plan import PlanRig
 from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
 from labdaemon.errors import ConfigError, LimitError
-from labdaemon.service.config_sections import (
-    CameraSection,
-    ControlSection,
-    DriverSection,
-    GaugeSection,
-    GuardianSection,
-    InterlocksSection,
-    Name,
-    ProcessingSection,
-    ServiceSection,
-    ShakerSection,
-    TargetsSection,
-    TriggerSection,
-)
-from labdaemon.tomlfile import Section, nearest, parse_model, read_toml
+from labdaemon.rig_sections import DriverSection, RigSections
+from labdaemon.tomlfile import nearest, parse_model, read_toml
 
 RAW_BYTES_A_PIXEL = 2
 """An uncompressed 16-bit mosaic, the largest that a frame can be; bodies that compress need less."""
@@ -39,7 +26,7 @@ BUILT_IN = {"trigger": {"camera"}}
 """Drivers that are the daemon itself: frames that arrive are the trigger."""
 
 
-class RigConfig(Section):
+class RigConfig(RigSections):
     """A whole rig file.
 
     Attributes
@@ -48,22 +35,12 @@ class RigConfig(Section):
         Where it was read from; relative paths in it start at its folder.
     """
 
-    service: ServiceSection = ServiceSection()
-    shaker: ShakerSection | None = None
-    trigger: TriggerSection = TriggerSection(driver="camera")
-    gauges: Annotated[tuple[GaugeSection, ...], Field(alias="gauge")] = ()
-    cameras: Annotated[dict[Name, CameraSection], Field(min_length=1)]
-    targets: TargetsSection
-    control: ControlSection
-    processing: ProcessingSection = ProcessingSection()
-    guardian: GuardianSection = GuardianSection()
-    interlocks: InterlocksSection = InterlocksSection()
     source: Annotated[Path, Field(exclude=True, alias=" source")]
 
     @property
     def limits(self) -> ShakerLimits | None:
         """The table's limits, None without a shaker."""
-        return self.shaker.limits.value() if self.shaker else None
+        return ShakerLimits(**self.shaker.limits.model_dump()) if self.shaker else None
 
     @property
     def data(self) -> Path:

@@ -157,6 +157,11 @@ def test_a_group_and_its_sharp_set_are_checked_before_work(planar: Path, tmp_pat
         jobs(open_folder(folder))
     (folder / "captures/c2/capture.toml").write_text('group = "g"\n')
     assert [(job.name, job.captures) for job in jobs(open_folder(folder))] == [("g", ("c1", "c2"))]
+    for name, frequency in (("c1", 5.0), ("c2", 8.0)):
+        (folder / f"captures/{name}/capture.toml").write_text(f'group = "g"\nfrequency_hz = {frequency}\n')
+    with pytest.raises(DataError, match=r"group g have different frequencies: 5 Hz \(c1\) and 8 Hz \(c2\)"):
+        process_folder(folder)
+    (folder / "captures/c1/capture.toml").write_text('group = "g"\n')
     (folder / "captures/c2/capture.toml").write_text('group = "c1"\n')
     (folder / "captures/c1/capture.toml").write_text("")
     with pytest.raises(DataError, match="c1 is the name of a capture and of a group"):

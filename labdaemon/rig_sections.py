@@ -1,4 +1,6 @@
-"""The sections of a rig file (`config/*.toml`), each with its units and ranges.
+"""The sections of a rig file (`config/*.toml`, `rig.toml` of a data-set folder), each with its units and ranges.
+
+The daemon and `labdaemon process` read the same model, so that both refuse the same slips by name.
 
 A section that names a driver hands the driver all of its keys; keys beyond the ones here are the driver's own and are
 checked against what it says it understands.
@@ -11,7 +13,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.tomlfile import Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
@@ -95,10 +96,6 @@ class LimitsSection(Section):
         if (self.force_n is None) != (self.moving_mass_kg is None):
             raise ValueError("force_n and moving_mass_kg are only checked together; give both or neither")
         return self
-
-    def value(self) -> ShakerLimits:
-        """The same as planning takes it."""
-        return ShakerLimits(**self.model_dump())
 
 
 class ShakerSection(DriverSection):
@@ -212,3 +209,18 @@ class InterlocksSection(Section):
     """A camera that has not delivered its frame this long after a capture is lost."""
     worker_stall_s: Seconds = 300.0
     """No measurement finished for so long although some are waiting."""
+
+
+class RigSections(Section):
+    """All sections of a rig file."""
+
+    service: ServiceSection = ServiceSection()
+    shaker: ShakerSection | None = None
+    trigger: TriggerSection = TriggerSection(driver="camera")
+    gauges: Annotated[tuple[GaugeSection, ...], Field(alias="gauge")] = ()
+    cameras: Annotated[dict[Name, CameraSection], Field(min_length=1)]
+    targets: TargetsSection
+    control: ControlSection
+    processing: ProcessingSection = ProcessingSection()
+    guardian: GuardianSection = GuardianSection()
+    interlocks: InterlocksSection = InterlocksSection()
