@@ -44,7 +44,7 @@ class HookError(Exception):
     """The command could not be started, or did not end in time."""
 
 
-def run_hook(command: Sequence[str], timeout_s: float) -> HookResult:
+def run_hook(command: Sequence[str], timeout_s: float, stdin: bytes = b"") -> HookResult:
     """Run a command without a shell and wait for its end; blocks.
 
     Parameters
@@ -53,6 +53,8 @@ def run_hook(command: Sequence[str], timeout_s: float) -> HookResult:
         Program and arguments.
     timeout_s
         After which it is killed with all its children, seconds.
+    stdin
+        What it can read; it need not.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def run_hook(command: Sequence[str], timeout_s: float) -> HookResult:
     try:
         process = subprocess.Popen(
             list(command),
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE if stdin else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
@@ -73,6 +75,9 @@ def run_hook(command: Sequence[str], timeout_s: float) -> HookResult:
     kept = bytearray()
     reader = threading.Thread(target=_read, args=(process.stdout, kept), name="hook output", daemon=True)
     reader.start()
+    if process.stdin is not None:
+        # On a thread: a command that does not read must not be waited for, however large the text is.
+        threading.Thread(target=_write, args=(process.stdin, stdin), name="hook input", daemon=True).start()
     try:
         status = process.wait(timeout_s)
     except subprocess.TimeoutExpired as exc:
@@ -92,6 +97,11 @@ def _read(stream: IO[bytes], kept: bytearray) -> None:
         while block := os.read(stream.fileno(), BLOCK_BYTES):
             kept += block
             del kept[:-KEPT_BYTES]
+
+
+def _write(stream: IO[bytes], text: bytes) -> None:
+    with suppress(OSError, ValueError), stream:  # it ended, or closed its input, before it had read all
+        stream.write(text)
 
 
 def _last_line(output: bytes) -> str:

@@ -9,6 +9,7 @@ checked against what it says it understands.
 from __future__ import annotations
 
 import re
+import shlex
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
@@ -35,6 +36,27 @@ class ServiceSection(Section):
     commands: str = "tcp://127.0.0.1:5570"
     data: Written = "data"
     """Folder of journal, campaigns and frames; relative to the rig file."""
+    on_fault: Written | tuple[Written, ...] | None = None
+    """Command that carries faults and pauses to a person: program and arguments, in a list or as in a shell (no shell
+    runs it). It reads a JSON object on stdin; a relative path starts at the rig file's folder."""
+
+    @property
+    def on_fault_command(self) -> tuple[str, ...] | None:
+        """Program and arguments of `on_fault`."""
+        if self.on_fault is None or isinstance(self.on_fault, tuple):
+            return self.on_fault
+        return tuple(shlex.split(self.on_fault))
+
+    @field_validator("on_fault")
+    @classmethod
+    def _a_command(cls, command: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        try:
+            words = shlex.split(command) if isinstance(command, str) else command
+        except ValueError as exc:
+            raise ValueError(f"is no command: {exc}") from None
+        if words is not None and not words:
+            raise ValueError("is empty; name a program, or leave it out")
+        return command
 
     @field_validator("events", "commands")
     @classmethod

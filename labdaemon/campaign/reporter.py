@@ -45,6 +45,8 @@ class Reporter:
         self.faults = 0
         self.last_fault: str | None = None
         self.disk_trouble: str | None = None
+        self.unrecorded: Callable[[str | None, dict[str, Any]], None] = lambda campaign, payload: None
+        """Called with campaign and payload of a fault that the journal does not take now."""
 
     async def fault(self, exc: BaseException, *, campaign: str | None, step: Step | None, action: str) -> None:
         """Report a fault and what is done about it."""
@@ -58,8 +60,10 @@ class Reporter:
             "step": step.index if step is not None else None,
             "action": action,
         }
-        with suppress(StorageUnavailable):  # the disk does not take the report either; the log has it
+        try:
             await self._recorder.write(transitions.fault, campaign, payload)
+        except StorageUnavailable:  # the disk does not take the report either; the log has it
+            self.unrecorded(campaign, payload)
 
     async def move(self, campaign: str, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
         """Put a campaign into another state; False if it was in none that leads there."""
@@ -84,6 +88,8 @@ class Reporter:
         self.faults += 1
         self.last_fault = self.disk_trouble = str(exc)
         log.error("waiting for the disk: %s", exc)
+        payload = {"device": "disk", "error": type(exc).__name__, "message": str(exc), "step": None, "action": "wait"}
+        self.unrecorded(campaign, payload)
         try:
             while True:
                 await self._until_it_writes()

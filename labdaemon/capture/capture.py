@@ -167,7 +167,7 @@ def exposure_of(frame: Path) -> float | None:
 
     try:
         return read_tags(frame).exposure_s
-    except (DataError, OSError):
+    except (DataError, OSError, ValueError):
         return None
 
 

@@ -26,6 +26,7 @@ from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import Held
 from labdaemon.service.devices import camera_choices, connect_others, exposure_steps
+from labdaemon.service.fault_hook import FaultHook, resolved
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
 from labdaemon.service.measuring import PoolMeasurer
@@ -63,9 +64,14 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         return status_of(engine, place) | {"guardian": guardian}
 
     publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
-    recorder = Recorder(
-        held.journal, DeviceLine("journal"), publisher.wake, DeviceLine("data disk"), DeviceLine("plans")
-    )
+    hook = _fault_hook(held, place)
+
+    def committed() -> None:
+        publisher.wake()
+        if hook is not None:
+            hook.wake()
+
+    recorder = Recorder(held.journal, DeviceLine("journal"), committed, DeviceLine("data disk"), DeviceLine("plans"))
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()
@@ -76,7 +82,9 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         rig = _describe(held, identities, publisher.address)
         submitted = partial(_plan, held, steps, check_disk=True)
         held.desk.open(handlers(engine, submitted, status, rig), held.journal)
-        return await _run_parts(held, engine, publisher, recorder, end)
+        if hook is not None:
+            engine.reporter.unrecorded = hook.unrecorded
+        return await _run_parts(held, engine, publisher, recorder, end, hook)
     finally:
         publisher.close()
         pool.close()
@@ -100,8 +108,27 @@ async def _heed_guardian(held: Held, engine: Engine) -> None:
     held.guardian.on_lost = lost
 
 
+def _fault_hook(held: Held, place: dict[str, Any]) -> FaultHook | None:
+    """What carries faults to a person; None where the rig file names nothing.
+
+    Raises
+    ------
+    ConfigError
+        The program is not there.
+    """
+    command = held.config.service.on_fault_command
+    if command is None:
+        return None
+    return FaultHook(resolved(command, held.config.source), held.journal, place, held.clock)
+
+
 async def _run_parts(
-    held: Held, engine: Engine, publisher: EventPublisher, recorder: Recorder, end: asyncio.Future[int]
+    held: Held,
+    engine: Engine,
+    publisher: EventPublisher,
+    recorder: Recorder,
+    end: asyncio.Future[int],
+    hook: FaultHook | None,
 ) -> int:
     parts: list[asyncio.Future[Any]] = [
         asyncio.create_task(supervise("events", publisher.run, held.clock)),
@@ -109,6 +136,8 @@ async def _run_parts(
         asyncio.create_task(engine.run()),
         asyncio.create_task(feed(held.clock, _checks(engine), _stalled)),
     ]
+    if hook is not None:
+        parts.append(asyncio.create_task(supervise("on_fault", hook.run, held.clock)))
     held.ready(held.commands.address, publisher.address)
     notify(f"READY=1\nSTATUS=serving on {held.commands.address}")
     try:
@@ -126,6 +155,8 @@ async def _run_parts(
             log.critical("%s", exc)
         await asyncio.gather(*parts, return_exceptions=True)
         await engine.measuring.cancel()
+        if hook is not None:
+            await hook.flush()
 
 
 def _engine(held: Held, recorder: Recorder, pool: WorkerPool, planner: Callable[[str], Plan]) -> Engine:

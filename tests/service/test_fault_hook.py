@@ -1,0 +1,132 @@
+"""The command of `[service] on_fault`: real processes, a real journal, gaps of milliseconds."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labdaemon.clock import SystemClock
+from labdaemon.errors import ConfigError
+from labdaemon.journal import transitions
+from labdaemon.journal.journal import Journal
+from labdaemon.service.config_sections import ServiceSection
+from labdaemon.service.fault_hook import FaultHook, message_of, resolved
+
+PLACE = {"rig": "/etc/rig.toml", "data": "/data", "host": "lab-pc", "pid": 7}
+KEEP = """
+import os, sys
+folder, text = sys.argv[1], sys.stdin.read()
+whole = os.path.join(folder, str(len(os.listdir(folder))))
+with open(folder + ".part", "w") as file:
+    file.write(text)
+os.rename(folder + ".part", whole)
+"""
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.02)
+
+
+def serve(tmp_path: Path, command: list[str], scenario: Callable[[FaultHook, Journal], Awaitable[None]]) -> None:
+    async def main() -> None:
+        journal = Journal(tmp_path / "data", SystemClock())
+        hook = FaultHook(command, journal, PLACE, SystemClock(), gather_s=0.1, gap_s=0.3, timeout_s=1.0)
+        running = asyncio.create_task(hook.run())
+        try:
+            await scenario(hook, journal)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+            journal.close()
+
+    asyncio.run(main())
+
+
+def runs(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(path.read_text()) for path in sorted(folder.iterdir(), key=lambda path: int(path.name))]
+
+
+def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path: Path):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+
+    async def scenario(hook: FaultHook, journal: Journal) -> None:
+        id = transitions.submit(journal, "night", "", "")
+        transitions.move_campaign(journal, id, "running")
+        transitions.fault(journal, id, {"device": "shaker", "message": "port is gone"})
+        transitions.move_campaign(journal, id, "paused", "port is gone")
+        hook.wake()
+        await until(lambda: len(list(kept.iterdir())) == 1)
+        for number in range(20):
+            transitions.fault(journal, id, {"message": f"again {number}"})
+            hook.wake()
+            await asyncio.sleep(0.01)
+        hook.unrecorded(None, {"device": "disk", "message": "the disk is full"})
+        await until(lambda: sum(len(run["events"]) for run in runs(kept) if run) >= 23)
+
+    serve(tmp_path, [sys.executable, "-c", KEEP, str(kept)], scenario)
+    first, *later = runs(kept)
+    assert (first["kind"], first["data"]["reason"]) == ("campaign.paused", "port is gone")
+    assert first["text"] == "lab-pc: 0001-night: paused: port is gone"
+    assert [event["kind"] for event in first["events"]] == ["fault", "campaign.paused"]
+    assert first["daemon"] == PLACE
+    assert 1 <= len(later) <= 4  # 21 events within half a second, with a distance between two runs
+    assert "the disk is full" in [event["data"]["message"] for run in later for event in run["events"]]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import time; time.sleep(60)",
+        "import os; os.write(1, b'\\xe9\\xff' * 100000); os._exit(3)",
+        "import os; os.abort()",
+    ],
+)
+def test_a_command_that_hangs_fails_or_babbles_holds_nothing_up(tmp_path: Path, source: str):
+    async def scenario(hook: FaultHook, journal: Journal) -> None:
+        for _ in range(3):
+            transitions.fault(journal, None, {"message": "x" * 5000})
+            hook.wake()
+            before = time.monotonic()
+            await asyncio.sleep(0.2)
+            assert time.monotonic() - before < 2.0  # the loop stayed free
+
+    serve(tmp_path, [sys.executable, "-c", source], scenario)
+
+
+def test_no_shell_sees_the_command_or_the_message(tmp_path: Path):
+    section = ServiceSection(on_fault="mail -s '$(touch x); done' root")
+    assert section.on_fault_command == ("mail", "-s", "$(touch x); done", "root")
+    assert ServiceSection(on_fault=("a b", "c")).on_fault_command == ("a b", "c")
+    assert ServiceSection().on_fault_command is None
+    for wrong in ("", "   ", "mail 'x", "a\0b", ()):
+        with pytest.raises(ValueError, match="on_fault"):
+            ServiceSection(on_fault=wrong)
+
+
+def test_the_program_must_be_there_and_lies_next_to_the_rig_file(tmp_path: Path):
+    script = tmp_path / "page.sh"
+    script.write_text("#!/bin/sh\n")
+    rig = tmp_path / "rig.toml"
+    with pytest.raises(ConfigError, match=r"service\.on_fault: \./page\.sh is no program"):
+        resolved(("./page.sh",), rig)
+    script.chmod(0o755)
+    assert resolved(("./page.sh", "-x"), rig) == (str(script), "-x")
+    assert resolved(("sh",), rig)[0].endswith("/sh")
+
+
+def test_the_message_leads_with_what_weighs_most():
+    fault = {"kind": "fault", "campaign": None, "data": {"device": "left", "message": "left: gone"}}
+    assert message_of([fault], PLACE)["text"] == "lab-pc: left: fault: left: gone"
+    failed = {"kind": "campaign.failed", "campaign": "1-x", "data": {"reason": "r"}}
+    assert message_of([failed, fault], PLACE)["kind"] == "campaign.failed"
