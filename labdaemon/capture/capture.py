@@ -7,16 +7,16 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labdaemon.capture.collect import store, wait_all, wait_frame
+from labdaemon.capture.collect import identity, store
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
-from labdaemon.capture.pairing import CameraClocks
+from labdaemon.capture.own_frames import FrameContext, clock_offsets, load_clocks, prepare_cameras, wait_own
+from labdaemon.capture.pairing import CameraClocks, Opening
 from labdaemon.capture.places import (
     capture_folder,
     capture_toml,
     frame_path,
     opening_phase,
-    set_aside_path,
     with_opening,
 )
 from labdaemon.capture.recorder import Recorder
@@ -26,7 +26,8 @@ from labdaemon.capture.table import Table
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import write_durably
 from labdaemon.errors import DataError, DeviceError, DeviceRefused, InterlockError
-from labdaemon.journal import transitions
+from labdaemon.journal import card_records, transitions
+from labdaemon.journal.card_records import ClockOffset, OwedFile
 from labdaemon.journal.records import UNKNOWN_EXPOSURE_S, CaptureRecord, FrameRecord
 
 EXPOSURE_WITHIN = 0.09
@@ -53,7 +54,9 @@ class Lab:
     cameras
         Settings by camera name.
     camera_timeout_s
-        A frame that has not come this long after its exposure never will.
+        A frame that has not come this long after twice its exposure is late.
+    clocks
+        What is known of the cameras' clocks, from the journal at first.
     exposures_s
         What each body is set to now.
     suspects
@@ -73,6 +76,13 @@ class Lab:
     exposures_s: dict[str, float] = field(default_factory=dict)
     suspects: set[str] = field(default_factory=set)
     swept: bool = False
+    frames: FrameContext = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.frames = FrameContext(
+            self.rig, self.recorder, self.clock, self.data, self.clocks, lambda: self.camera_timeout_s
+        )
+        load_clocks(self.frames)
 
 
 Fired = Callable[[CaptureRecord], None]
@@ -130,30 +140,39 @@ async def take(
     if excitation is not None:
         await lab.table.shake(excitation)
     await _expose_for(lab, order.exposure_s)
-    await set_strays_aside(lab)
+    seen = await prepare_cameras(lab.frames)
 
     begun()
     await lab.recorder.write(transitions.intend_capture, order)
     capture, opened_s = await _fire(lab, order, phase_rad, request_id)
     fired(capture)
 
-    files = await wait_all(lab.rig, lab.recorder, lab.clock, capture.exposure_s + lab.camera_timeout_s)
-    lab.clocks.check(files, opened_s, capture.exposure_s)
+    opening = Opening(capture.campaign, capture.name, opened_s, capture.exposure_s)
+    files = await wait_own(lab.frames, opening, seen)
     await lab.table.confirm()
     if excitation is not None and lab.table.excitation != excitation:
         raise InterlockError("the table was stopped during the exposure")
     if describe is not None:
         capture = await describe(capture)
 
-    capture = await keep(lab, capture, files)
+    capture = await keep(lab, capture, files, opening)
     await measure(capture)
     return capture
 
 
-async def keep(lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile]) -> CaptureRecord:
-    """Store one file a camera as this capture's frames, which the journal then vouches for."""
-    named = {camera: (file.name, file.captured_at) for camera, file in files.items()}
-    await lab.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named)
+async def keep(
+    lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile], opening: Opening | None = None
+) -> CaptureRecord:
+    """Store one file a camera as this capture's frames, which the journal then vouches for.
+
+    The cameras' clocks are learned from them where the `opening` is known on the monotonic clock.
+    """
+    named = {camera: identity(file) for camera, file in files.items()}
+    offsets: list[ClockOffset] = []
+    if opening is not None:
+        lab.clocks.follow(files, opening)
+        offsets = clock_offsets(lab.frames, opening, files)
+    await lab.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets)
     frames = await asyncio.gather(*(_store(lab, capture, camera, file) for camera, file in files.items()))
     if capture.exposure_s == UNKNOWN_EXPOSURE_S:
         capture = await _read_exposure(lab, capture, list(frames))
@@ -206,14 +225,6 @@ async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) 
     return replace(capture, state="stored")
 
 
-async def set_strays_aside(lab: Lab) -> None:
-    """Fetch files that nobody asked for, so that none of them is taken for the next capture's."""
-    for name, camera in lab.rig.cameras.items():
-        while (file := await wait_frame(camera, lab.recorder, lab.clock, 0.0)) is not None:
-            path = set_aside_path(lab.data, "", "", name, file.name)
-            await store(camera, file, path, lab.recorder, lab.clock, campaign="", capture="", state="set_aside")
-
-
 async def _expose_for(lab: Lab, exposure_s: float) -> None:
     """Set every body to this exposure, once."""
     for name, camera in lab.rig.cameras.items():
@@ -238,10 +249,16 @@ async def _fire(
     """Release the shutters; the capture with its opening, and the opening on the host's monotonic clock."""
     if lab.rig.trigger is None:
         raise DeviceError("shutters are released by an outside system; use a phase of kind external", device="trigger")
-    firing = await lab.rig.trigger.call(
-        lambda driver: driver.fire(order.exposure_s, frequency_hz=order.frequency_hz, phase_rad=phase_rad),
-        order.exposure_s + CALL_S,
-    )
+    try:
+        firing = await lab.rig.trigger.call(
+            lambda driver: driver.fire(order.exposure_s, frequency_hz=order.frequency_hz, phase_rad=phase_rad),
+            order.exposure_s + CALL_S,
+        )
+    except DeviceRefused:
+        for camera in order.cameras:  # nothing was released, so no camera owes a file
+            this = OwedFile(camera, order.campaign, order.name, "", order.exposure_s)
+            await lab.recorder.write(card_records.forget_owed, camera, [this])
+        raise
     opened_s = lab.clock.monotonic()
     capture = with_opening(order, rfc3339(firing.opened_at), firing.opening_s, firing.phase_rad, firing.sd_phase_rad)
     await lab.recorder.write(

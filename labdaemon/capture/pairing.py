@@ -1,24 +1,50 @@
-"""Which file belongs to which opening: by the cameras' own times and by order, and a mispair is refused.
+"""Which file belongs to which opening: by the cameras' own times and by order; a pair that is not sure is refused.
 
 A camera's clock is set by hand and drifts, so its times are compared with the host's monotonic clock through an offset
-that is learned from the first capture and followed from then on. A file that arrived late from an earlier opening, or
-one that a passer-by shot with the button, then stands out by seconds.
+that is learned from each capture and kept in the journal. A file that arrives late from an earlier opening, or one that
+a passer-by shot with the button, then stands out by seconds. A body whose times are of no use (no date, a clock that
+stands still) is paired by order: its files come in the order of the openings that it owes them for.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import Enum
+from pathlib import PurePath
 
 from labdaemon.capture.devices import CardFile
-from labdaemon.errors import DeviceError
 
 TOLERANCE_S = 2.5
-"""Bodies tell their time in whole seconds, and stamp at the opening or at its end."""
+"""Bodies write whole seconds, some of them even ones, and take up to a fraction of a second to react."""
 
-PICTURE_SIDECARS = (".jpg", ".jpeg", ".wav", ".xmp")
-"""What a body may write beside the RAW file; left on the card."""
+DRIFT = 5e-5
+"""Relative drift of a camera's clock, four seconds a day: several times what users measure."""
+
+MISFITS = 2
+"""Openings in a row that a clock's time did not fit after which it is of no use."""
+
+SD_S = 0.29
+"""Standard deviation of a time in whole seconds."""
+
+COMPANIONS = frozenset(
+    {".jpg", ".jpeg", ".jpe", ".hif", ".heif", ".heic", ".avif", ".jxl", ".png", ".gif", ".bmp", ".ndf", ".xmp", ".thm"}
+    | {".wav", ".mp3", ".mov", ".mp4", ".avi", ".mpg", ".mts", ".lrv", ".txt", ".csv", ".log", ".html", ".dat", ".ctg"}
+)
+"""Endings of what a body may write with the RAW file; such files are left on the card."""
+
+RAW_ENDINGS = frozenset(
+    {".nef", ".nrw", ".dng", ".cr2", ".cr3", ".crw", ".arw", ".srf", ".sr2", ".raf", ".rw2", ".raw", ".orf", ".pef"}
+    | {".srw", ".x3f", ".mrw", ".3fr", ".fff", ".iiq", ".erf", ".mef", ".mos", ".kdc", ".dcr", ".rwl", ".gpr"}
+)
+
+NOT_RAW_FORMATS = frozenset(
+    {*range(0x3001, 0x3010), 0x3801, *range(0x3803, 0x380D), *range(0x380E, 0x3811), 0xB104, 0xB105, 0xB110}
+    | {*range(0xB900, 0xBB00)}
+)
+"""PTP's object formats of folders, notes, sounds, films and finished pictures, and makers' own for HEIF and films."""
 
 _TIME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T ](\d\d):?(\d\d):?(\d\d)(\.\d+)?")
 
@@ -36,55 +62,157 @@ def camera_seconds(captured_at: str) -> float | None:
     return moment.timestamp() + float(match[7] or 0.0)
 
 
+def ending_of(file: CardFile) -> str:
+    """The ending of its name in small letters, with the dot."""
+    return PurePath(file.name).suffix.lower()
+
+
 def is_frame(file: CardFile) -> bool:
-    """Whether a file is a RAW frame rather than its JPEG or a note beside it."""
-    return not file.name.lower().endswith(PICTURE_SIDECARS)
+    """Whether a file may be a RAW frame by its format and name, where its content cannot be looked at."""
+    return file.format not in NOT_RAW_FORMATS and ending_of(file) not in COMPANIONS
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """One opening of the shutters, or the intention to open them.
+
+    Attributes
+    ----------
+    opened_s
+        On the host's monotonic clock.
+    exposure_s
+        A body may stamp the opening or its end.
+    """
+
+    campaign: str
+    capture: str
+    opened_s: float
+    exposure_s: float
+
+
+class Verdict(Enum):
+    """Whose a file is, as far as its time says."""
+
+    OWN = "of this opening"
+    EARLIER = "of an earlier opening"
+    FOREIGN = "of no opening"
+    UNCLEAR = "of this or of an earlier opening"
+
+
+@dataclass(slots=True)
+class _CameraClock:
+    """What is known of one camera's clock.
+
+    Attributes
+    ----------
+    offset_s
+        Its time stamp minus the opening, on the host's monotonic clock.
+    exposure_s, measured_s
+        Of the opening that the offset was taken from.
+    is_doubted
+        The camera was away since, and may have another time now.
+    misfits
+        Openings in a row that its time did not fit.
+    rival_s
+        The offset at the last of them.
+    """
+
+    offset_s: float
+    exposure_s: float
+    measured_s: float
+    is_doubted: bool = False
+    misfits: int = 0
+    rival_s: float | None = None
+
+    @property
+    def is_useless(self) -> bool:
+        """Whether it says nothing: it stands still, or jumps with each shot."""
+        return self.misfits >= MISFITS
+
+    def fits(self, stamp_s: float, opening: Opening) -> bool:
+        return abs(stamp_s - opening.opened_s - self.offset_s) <= self.tolerance_s(opening)
+
+    def tolerance_s(self, opening: Opening) -> float:
+        drift_s = DRIFT * abs(opening.opened_s - self.measured_s)
+        return TOLERANCE_S + abs(opening.exposure_s - self.exposure_s) + drift_s
 
 
 class CameraClocks:
-    """What is known of each camera's clock: its offset from the host's monotonic one, seconds."""
+    """The cameras' clocks, and what their times say of a file."""
 
     def __init__(self) -> None:
-        self._offset_s: dict[str, float] = {}
+        self._clocks: dict[str, _CameraClock] = {}
 
-    def check(self, files: Mapping[str, CardFile], opened_s: float, exposure_s: float) -> None:
-        """Accept the files of one opening, and follow the clocks.
+    def load(self, camera: str, offset_s: float, exposure_s: float, measured_s: float) -> None:
+        """Begin with an offset that was measured before a restart; both times on the host's monotonic clock."""
+        self._clocks[camera] = _CameraClock(offset_s, exposure_s, measured_s, is_doubted=True)
+
+    def offset_s(self, camera: str) -> float | None:
+        """The camera's time minus the host's monotonic one; None if unknown."""
+        clock = self._clocks.get(camera)
+        return None if clock is None else clock.offset_s
+
+    def can_tell_apart(self, camera: str, opening: Opening, now_s: float) -> bool:
+        """Whether a file of this opening cannot be taken for one of an opening from now on."""
+        clock = self._clocks.get(camera)
+        return clock is not None and not clock.is_useless and now_s > opening.opened_s + 2.0 * TOLERANCE_S
+
+    def owner(self, camera: str, file: CardFile, openings: Sequence[Opening]) -> Opening | None:
+        """Which of these openings, oldest first, a file is of; without a useful clock the oldest."""
+        clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
+        if clock is None or clock.is_useless or stamp_s is None:
+            return next(iter(openings), None)
+        return next((opening for opening in openings if clock.fits(stamp_s, opening)), None)
+
+    def judge(self, camera: str, file: CardFile, opening: Opening, owed: Sequence[Opening] = ()) -> Verdict:
+        """Whose a file is that arrived after this opening.
 
         Parameters
         ----------
-        files
-            One file a camera.
-        opened_s
-            The opening on the host's monotonic clock.
-        exposure_s
-            A body may stamp the opening or its end.
-
-        Raises
-        ------
-        DeviceError
-            A file's time does not fit this opening.
+        owed
+            Earlier openings whose files have not come.
         """
-        seen: dict[str, float] = {}
-        for camera, file in files.items():
-            stamp = camera_seconds(file.captured_at)
-            if stamp is None:
-                continue  # a body without a clock is paired by order alone
-            seen[camera] = stamp - opened_s
-            known = self._offset_s.get(camera)
-            if known is None:
-                continue
-            off_s = seen[camera] - known
-            if not -TOLERANCE_S <= off_s <= TOLERANCE_S + exposure_s:
-                raise DeviceError(
-                    f"{file.name} was taken {off_s:+.1f} s away from this opening and belongs to another one; "
-                    "the capture is repeated",
-                    device=camera,
-                )
-        self._offset_s.update(seen)
+        by_order = Verdict.UNCLEAR if owed else Verdict.OWN
+        clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
+        if clock is None or clock.is_useless or stamp_s is None:
+            return by_order
+        is_own, is_earlier = clock.fits(stamp_s, opening), any(clock.fits(stamp_s, other) for other in owed)
+        if is_own:
+            return Verdict.UNCLEAR if is_earlier else Verdict.OWN
+        if is_earlier:
+            return Verdict.EARLIER
+        apparent_s = stamp_s - opening.opened_s
+        rival_s = clock.rival_s
+        if clock.is_doubted or (rival_s is not None and abs(apparent_s - rival_s) <= TOLERANCE_S):
+            return by_order  # its clock was set: nothing else explains it
+        clock.misfits += 1
+        clock.rival_s = apparent_s
+        return Verdict.FOREIGN
 
-    def forget(self, camera: str) -> None:
+    def off_s(self, camera: str, file: CardFile, opening: Opening) -> float:
+        """How far a file's time is from an opening, seconds; 0 where that is unknown."""
+        clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
+        return 0.0 if clock is None or stamp_s is None else stamp_s - opening.opened_s - clock.offset_s
+
+    def follow(self, files: Mapping[str, CardFile], opening: Opening) -> None:
+        """These files are of this opening: learn the clocks from them."""
+        for camera, file in files.items():
+            stamp_s = camera_seconds(file.captured_at)
+            if stamp_s is None:
+                continue  # a body without a clock is paired by order alone
+            apparent_s = stamp_s - opening.opened_s
+            before = self._clocks.get(camera)
+            clock = self._clocks[camera] = _CameraClock(apparent_s, opening.exposure_s, opening.opened_s)
+            if before is not None and not before.fits(stamp_s, opening):
+                is_set_anew = before.rival_s is not None and abs(apparent_s - before.rival_s) <= TOLERANCE_S
+                clock.misfits = 0 if is_set_anew else before.misfits + 1
+                clock.rival_s = apparent_s
+
+    def doubt(self, camera: str) -> None:
         """The camera was away and may have another time now."""
-        self._offset_s.pop(camera, None)
+        clock = self._clocks.get(camera)
+        if clock is not None:
+            clock.is_doubted = True
 
 
 class Arrivals:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from math import pi
@@ -10,6 +11,10 @@ from pathlib import Path, PurePath
 
 from labdaemon.capture.devices import CardFile
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
+
+LONGEST_NAME = 80
+_ENDING = re.compile(r"\.[a-z0-9]{1,5}")
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]")
 
 
 def campaign_folder(data: Path, campaign: str) -> Path:
@@ -32,7 +37,9 @@ def capture_folder(data: Path, capture: CaptureRecord) -> Path:
 
 def frame_path(data: Path, capture: CaptureRecord, camera: str, file: CardFile) -> Path:
     """Final place of one camera's frame: sharp frames are numbered within their set from the second on."""
-    ending = PurePath(file.name).suffix.lower() or ".raw"
+    ending = PurePath(file.name).suffix.lower()
+    if not _ENDING.fullmatch(ending):
+        ending = ".raw"  # a card's names are anything; LibRaw goes by the content
     if capture.is_sharp:
         number = f"-{capture.shot + 1}" if capture.shot else ""
         return capture_folder(data, capture) / f"{camera}{number}{ending}"
@@ -40,9 +47,9 @@ def frame_path(data: Path, capture: CaptureRecord, camera: str, file: CardFile) 
 
 
 def set_aside_path(data: Path, campaign: str, capture: str, camera: str, name: str) -> Path:
-    """Where a frame goes that belongs to no completed capture."""
+    """Where a frame goes that belongs to no completed capture; the name is what the card makes of it."""
     root = campaign_folder(data, campaign) if campaign else data
-    return root / "set_aside" / (capture or "strays") / f"{camera}-{PurePath(name).name}"
+    return root / "set_aside" / (capture or "strays") / f"{camera}-{_NOT_IN_NAMES.sub('_', name)[-LONGEST_NAME:]}"
 
 
 def opening_phase(capture: CaptureRecord) -> float | None:

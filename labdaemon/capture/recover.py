@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from labdaemon.capture.capture import Lab, complete
-from labdaemon.capture.collect import clear_card, is_known, store
+from labdaemon.capture.collect import clear_card, identity, is_known, store
 from labdaemon.capture.devices import CardFile
-from labdaemon.capture.pairing import is_frame
+from labdaemon.capture.inspect_file import inspect
+from labdaemon.capture.own_frames import LIST_S, set_aside, unexplained
 from labdaemon.capture.places import capture_folder, frame_path, set_aside_path
 from labdaemon.capture.rig import CALL_S, Wired
-from labdaemon.durable import move_durably
 from labdaemon.errors import DeviceError
-from labdaemon.journal import records, transitions
-from labdaemon.journal.frames import remove_parts
-from labdaemon.journal.records import CaptureRecord
-
-LIST_S = 60.0
-"""A card with thousands of foreign pictures takes a while to list."""
+from labdaemon.imaging.raw_content import Kind
+from labdaemon.journal import card_records, records, transitions
+from labdaemon.journal.card_records import CardIdentity
+from labdaemon.journal.frames import holds, move_new, numbered, remove_parts
+from labdaemon.journal.records import CaptureRecord, FrameRecord
 
 
 async def recover(lab: Lab) -> None:
@@ -38,28 +37,66 @@ async def recover(lab: Lab) -> None:
         await lab.recorder.on_disk(remove_parts, lab.data)
         lab.swept = True
     on_cards = {name: await _list(lab, name) for name in lab.rig.cameras}
+    for name, files in on_cards.items():
+        await _match_handles(lab, name, files)
     await _clear_stored(lab, on_cards)
     for capture in records.captures(lab.recorder.journal, None, "intended", "fired", "exposed"):
         if capture.state != "exposed" or not await _complete(lab, capture, on_cards):
             await _give_up(lab, capture, on_cards)
-    await _leave_alone(lab, on_cards)
+    for name, files in on_cards.items():
+        await _settle_rest(lab, name, files)
 
 
 async def _list(lab: Lab, name: str) -> list[CardFile]:
     camera = lab.rig.cameras[name]
-    files = await camera.call(lambda driver: driver.files(), LIST_S + CALL_S)
-    return [file for file in files if is_frame(file)]
+    return await camera.call(lambda driver: driver.files(), LIST_S + CALL_S)
+
+
+async def _match_handles(lab: Lab, name: str, files: list[CardFile]) -> None:
+    """Bring what the journal knows of a card in line with it: other handles in a new session, and files that are gone.
+
+    A file with the name and time of one that is gone is another one, and is not taken for it.
+    """
+    known = card_records.card_files(lab.recorder.journal, name)
+    listed = {identity(file) for file in files}
+    free = listed - known.keys()
+    renamed: list[tuple[CardIdentity, CardIdentity]] = []
+    gone: list[CardIdentity] = []
+    for before in known.keys() - listed:
+        same = [file for file in free if before.resembles(file)]
+        if len(same) == 1:
+            renamed.append((before, same[0]))
+            free.discard(same[0])
+        elif not same:
+            gone.append(before)
+    if renamed:
+        await lab.recorder.write(card_records.rename_handles, name, renamed)
+    if gone and (files or await _has_card(lab, name)):
+        await lab.recorder.write(card_records.forget_files, name, gone)
+
+
+async def _has_card(lab: Lab, name: str) -> bool:
+    """Whether an empty list means an empty card, rather than none that can be read now."""
+    status = await lab.rig.cameras[name].call(lambda driver: driver.status())
+    return bool(status.free_bytes)
 
 
 async def _clear_stored(lab: Lab, on_cards: dict[str, list[CardFile]]) -> None:
     """Delete from the cards what a crash kept from being deleted, where the disk's copy is whole."""
     for name, files in on_cards.items():
-        for file in files:
-            frame = records.frame_of_card(lab.recorder.journal, name, file.name, file.captured_at)
-            if frame is None or not frame.capture:
+        known = card_records.card_files(lab.recorder.journal, name)
+        for file in tuple(files):
+            if not known.get(identity(file)):
                 continue
-            if await lab.recorder.on_disk(_has_size, lab.data / frame.path, frame.size_bytes):
-                await clear_card(lab.rig.cameras[name], file)
+            frame = records.frame_of_card(lab.recorder.journal, name, identity(file))
+            if frame is None:
+                continue
+            copy = lab.data / frame.path
+            if await lab.recorder.on_disk(holds, copy, frame.size_bytes, frame.sha256):
+                await clear_card(lab.rig.cameras[name], file, lab.recorder)
+                files.remove(file)
+            else:
+                await lab.recorder.write(card_records.forget_files, name, [identity(file)])  # fetched once more
 
 
 async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> bool:
@@ -70,8 +107,7 @@ async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[C
             continue
         if camera not in lab.rig.cameras:
             return False
-        wanted = capture.files.get(camera)
-        file = next((file for file in on_cards[camera] if (file.name, file.captured_at) == wanted), None)
+        file = _find(on_cards[camera], capture.files.get(camera))
         if file is None:
             return False
         stored[camera] = await store(
@@ -83,8 +119,18 @@ async def _complete(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[C
             campaign=capture.campaign,
             capture=capture.name,
         )
+        on_cards[camera].remove(file)
     await complete(lab, capture, list(stored.values()))
     return True
+
+
+def _find(files: list[CardFile], wanted: CardIdentity | None) -> CardFile | None:
+    """The file of this identity; under another handle where only one is like it, since handles are a session's own."""
+    if wanted is None:
+        return None
+    exact = next((file for file in files if identity(file) == wanted), None)
+    same = [file for file in files if wanted.resembles(identity(file))]
+    return exact or (same[0] if len(same) == 1 else None)
 
 
 async def _give_up(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[CardFile]]) -> None:
@@ -92,44 +138,61 @@ async def _give_up(lab: Lab, capture: CaptureRecord, on_cards: dict[str, list[Ca
     await lab.recorder.on_disk(remove_parts, capture_folder(lab.data, capture))
     moved: dict[str, str] = {}
     for frame in records.frames(lab.recorder.journal, capture.campaign, capture.name):
+        if frame.state != "stored":
+            continue
         path = set_aside_path(lab.data, capture.campaign, capture.name, frame.camera, frame.card_name)
-        if frame.state == "stored":
-            await lab.recorder.on_disk(_move_if_there, lab.data / frame.path, path)
-        moved[frame.path] = str(path.relative_to(lab.data))
+        place = await lab.recorder.on_disk(_move_aside, lab.data, frame, path)
+        moved[frame.path] = str(place.relative_to(lab.data))
     for name, files in on_cards.items():
-        for file in files:
-            if is_known(lab.recorder, name, file):
-                continue
-            path = set_aside_path(lab.data, capture.campaign, capture.name, name, file.name)
+        for file in await unexplained(lab.frames, name, files):
             await store(
                 lab.rig.cameras[name],
                 file,
-                path,
+                set_aside_path(lab.data, capture.campaign, capture.name, name, file.name),
                 lab.recorder,
                 lab.clock,
                 campaign=capture.campaign,
                 capture=capture.name,
                 state="set_aside",
             )
+            on_cards[name] = [other for other in on_cards[name] if other.handle != file.handle]
     reason = "interrupted before its exposure was confirmed" if capture.state != "exposed" else "a frame is gone"
     await lab.recorder.write(transitions.discard_capture, capture.campaign, capture.name, reason, moved)
 
 
-def _has_size(path: Path, size_bytes: int) -> bool:
-    return path.is_file() and path.stat().st_size == size_bytes
+def _move_aside(data: Path, frame: FrameRecord, to: Path) -> Path:
+    """Move a frame of a capture that is given up; one that a crash left moved, but not journalled, stays there."""
+    source = data / frame.path
+    if source.exists():
+        return move_new(source, to)
+    for place in numbered(to):
+        if not place.exists():
+            return to
+        if holds(place, frame.size_bytes, frame.sha256):
+            return place
+    raise AssertionError("numbers do not end")
 
 
-def _move_if_there(path: Path, to: Path) -> None:
-    if path.exists():
-        move_durably(path, to)
+async def _settle_rest(lab: Lab, name: str, files: list[CardFile]) -> None:
+    """Set aside what a capture that was given up is owed; all else on the card is somebody else's, and is left alone.
 
-
-async def _leave_alone(lab: Lab, on_cards: dict[str, list[CardFile]]) -> None:
-    """Remember files that no capture of ours explains: they are somebody else's."""
-    for name, files in on_cards.items():
-        foreign = [(file.name, file.captured_at) for file in files if not is_known(lab.recorder, name, file)]
-        if foreign:
-            await lab.recorder.write(transitions.know_files, name, foreign)
+    A file that is still being written is neither: it is looked at before the next release.
+    """
+    owed = lab.frames.owed(name)
+    if owed:
+        for file in await unexplained(lab.frames, name, files):
+            if lab.clocks.owner(name, file, owed) is not None:
+                await set_aside(lab.frames, name, file)
+                files = [other for other in files if other.handle != file.handle]
+    foreign: list[CardIdentity] = []
+    for file in files:
+        if file.size_bytes == 0 or is_known(lab.recorder, name, file):
+            continue
+        kind, now = await inspect(lab.rig.cameras[name], file) if owed else (Kind.OTHER, file)
+        if kind is not Kind.UNFINISHED:
+            foreign.append(identity(now))
+    if foreign:
+        await lab.recorder.write(card_records.account_files, name, foreign)
 
 
 async def reconnect_suspects(lab: Lab) -> None:
@@ -153,5 +216,5 @@ async def reconnect_suspects(lab: Lab) -> None:
         if device is rig.trigger:
             lab.table.enabled = False
         lab.exposures_s.pop(name, None)
-        lab.clocks.forget(name)
+        lab.clocks.doubt(name)
         lab.suspects.discard(name)

@@ -5,13 +5,30 @@ Whoever finds a file under its final name can trust it to be whole; whatever end
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 from labdaemon.durable import PART, is_being_written, make_folder, storage_error, sync_file, sync_folder
 from labdaemon.errors import DataError
 
 BLOCK_BYTES = 1 << 20
+
+NO_LINKS = frozenset(
+    {errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK, errno.EXDEV}
+)
+"""What a file system without hard links says (Linux: EPERM)."""
+
+_RENAMES = threading.Lock()
+
+
+class NameTaken(DataError):
+    """A frame's final name belongs to another frame. Nothing was changed."""
 
 
 def part_of(path: Path) -> Path:
@@ -21,12 +38,12 @@ def part_of(path: Path) -> Path:
 
 
 def seal(path: Path, size_bytes: int | None = None) -> tuple[int, str]:
-    """Make a written ``.part`` durable under its final name.
+    """Make a written ``.part`` durable under its final name, which no other file has.
 
     Parameters
     ----------
     path
-        The final name.
+        The final name. A file of the same content that has it already is that frame, sealed before a crash.
     size_bytes
         What its size must be; None if unknown.
 
@@ -38,23 +55,117 @@ def seal(path: Path, size_bytes: int | None = None) -> tuple[int, str]:
     ------
     DataError
         The size is not what it must be; the ``.part`` is removed, so that it can be fetched again.
+    NameTaken
+        Another file has the name; it and the ``.part`` stay.
     """
     part = part_of(path)
-    digest = hashlib.sha256()
     try:
-        with part.open("rb") as file:
-            while block := file.read(BLOCK_BYTES):
-                digest.update(block)
-            written = file.tell()
-            if size_bytes is not None and written != size_bytes:
-                part.unlink()
-                raise DataError(f"has {written} bytes, the camera said {size_bytes}; fetch it again", file=path)
-            sync_file(file.fileno(), path)
-        part.rename(path)
-        sync_folder(path.parent)
+        written, sha256 = _read_and_sync(part, path, size_bytes)
+        _place(part, path, sha256)
     except OSError as exc:
         raise storage_error(exc, path) from exc
+    return written, sha256
+
+
+def seal_new(path: Path, size_bytes: int | None = None) -> tuple[Path, int, str]:
+    """`seal`, under the first name of `numbered` that is free; returns which as well."""
+    part = part_of(path)
+    try:
+        written, sha256 = _read_and_sync(part, path, size_bytes)
+        for place in numbered(path):
+            with suppress(NameTaken):
+                _place(part, place, sha256)
+                return place, written, sha256
+    except OSError as exc:
+        raise storage_error(exc, path) from exc
+    raise AssertionError("numbers do not end")
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """`path`, then ``STEM~2``, ``STEM~3`` … of the same ending (``-2`` is the second frame of a sharp set)."""
+    yield path
+    for number in count(2):
+        yield path.with_name(f"{path.stem}~{number}{path.suffix}")
+
+
+def move_new(path: Path, to: Path) -> Path:
+    """Move a frame to the first free name of `to` and those after it, synced; returns which.
+
+    Raises
+    ------
+    StorageError
+        It cannot be moved.
+    """
+    make_folder(to.parent)
+    try:
+        for place in numbered(to):
+            with suppress(FileExistsError):
+                _rename_new(path, place)
+                sync_folder(to.parent)
+                sync_folder(path.parent)
+                return place
+    except OSError as exc:
+        raise storage_error(exc, path) from exc
+    raise AssertionError("numbers do not end")
+
+
+def holds(path: Path, size_bytes: int, sha256: str) -> bool:
+    """Whether this file is that frame; False where it is not there."""
+    try:
+        return path.stat().st_size == size_bytes and _digest(path) == sha256
+    except OSError:
+        return False
+
+
+def _read_and_sync(part: Path, path: Path, size_bytes: int | None) -> tuple[int, str]:
+    """Size and SHA-256 of a ``.part`` that is synced when this returns."""
+    digest = hashlib.sha256()
+    with part.open("rb") as file:
+        while block := file.read(BLOCK_BYTES):
+            digest.update(block)
+        written = file.tell()
+        if size_bytes is not None and written != size_bytes:
+            part.unlink()
+            raise DataError(f"has {written} bytes, the camera said {size_bytes}; fetch it again", file=path)
+        sync_file(file.fileno(), path)
     return written, digest.hexdigest()
+
+
+def _place(part: Path, path: Path, sha256: str) -> None:
+    """Give a synced ``.part`` its final name, if no other file has it."""
+    try:
+        _rename_new(part, path)
+    except FileExistsError:
+        if _digest(path) != sha256:
+            raise NameTaken("another frame has this name", file=path) from None
+        part.unlink()
+    sync_folder(path.parent)
+
+
+def _rename_new(path: Path, to: Path) -> None:
+    """Rename, but never over a file; raises `FileExistsError`."""
+    try:
+        os.link(path, to)
+    except FileExistsError:
+        raise
+    except OSError as exc:
+        if exc.errno not in NO_LINKS:
+            raise
+        # No links here (exFAT, some shares): no other process writes to a locked data folder, so looking is enough.
+        with _RENAMES:
+            if to.exists():
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(to)) from None
+            path.rename(to)
+    else:
+        path.unlink()
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def remove_parts(root: Path) -> list[Path]:

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import knows_sync, sync_folder
 from labdaemon.journal.event import Event, EventText, event_text, within
-from labdaemon.journal.schema import APPLICATION_ID, LATER_INDEX, TABLES, VERSION
+from labdaemon.journal.schema import APPLICATION_ID, CARD_TABLES, LATER_INDEX, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 
 FILE_NAME = "journal.db"
@@ -239,6 +239,7 @@ class Journal:
                     sqlite3.Error
                 ):  # a full or locked disk: without it the daemon is slower, and nothing else
                     self._writer.execute(LATER_INDEX)
+                self._add_card_tables()
                 self._reader = sqlite3.connect(self.path, READ_BUSY_S, isolation_level=None, check_same_thread=False)
                 self._reader.execute("PRAGMA query_only = ON")
                 self.uuid: str = self._reader.execute("SELECT value FROM meta WHERE key = 'uuid'").fetchone()[0]
@@ -264,6 +265,15 @@ class Journal:
         verdict = self._writer.execute("PRAGMA quick_check(1)").fetchone()[0]
         if verdict != "ok":
             raise sqlite3.DatabaseError(f"malformed: {verdict}")
+
+    def _add_card_tables(self) -> None:
+        """Tables that a journal of an earlier version lacks; they start from what it knew."""
+        if self._writer.execute("SELECT 1 FROM sqlite_master WHERE name = 'card_files'").fetchone():
+            return
+        with self._writer:
+            self._writer.execute("BEGIN IMMEDIATE")
+            for statement in CARD_TABLES.split(";\n"):
+                self._writer.execute(statement)
 
     def _create(self) -> None:
         with self._writer:

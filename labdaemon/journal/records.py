@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
+from labdaemon.journal.card_records import CardIdentity
 from labdaemon.journal.journal import Journal
 
 CampaignState = Literal["queued", "running", "paused", "completed", "aborted", "failed"]
@@ -76,7 +77,7 @@ class CaptureRecord:
     cameras
         Names of the cameras that owe a frame.
     files
-        Name and time of each camera's file, as the camera tells them; known from ``exposed`` on.
+        What each camera's file is known by on its card; known from ``exposed`` on.
     """
 
     campaign: str
@@ -96,7 +97,7 @@ class CaptureRecord:
     phase_rad: float | None
     sd_phase_rad: float | None
     cameras: tuple[str, ...]
-    files: dict[str, tuple[str, str]]
+    files: dict[str, CardIdentity]
     reason: str | None
 
 
@@ -223,21 +224,17 @@ def frames(journal: Journal, campaign: str, capture: str) -> list[FrameRecord]:
     return [FrameRecord(*row) for row in rows]
 
 
-def frame_of_card(journal: Journal, camera: str, card_name: str, captured_at: str) -> FrameRecord | None:
-    """The frame that this file on a camera's card was copied to, None if it was not copied yet."""
+def frame_of_card(journal: Journal, camera: str, file: CardIdentity) -> FrameRecord | None:
+    """The frame that a file on a camera's card was copied to last, by name, time and size; None if there is none."""
     rows = journal.read(
-        f"SELECT {_FRAME} FROM frames WHERE camera = ? AND card_name = ? AND captured_at = ? ORDER BY id DESC LIMIT 1",
+        f"SELECT {_FRAME} FROM frames WHERE camera = ? AND card_name = ? AND captured_at = ? AND size_bytes = ? "
+        "ORDER BY id DESC LIMIT 1",
         camera,
-        card_name,
-        captured_at,
+        file.name,
+        file.captured_at,
+        file.size_bytes,
     )
     return FrameRecord(*rows[0]) if rows else None
-
-
-def known_files(journal: Journal, camera: str) -> set[tuple[str, str]]:
-    """Name and time of the files on a camera's card that are none of ours."""
-    rows = journal.read("SELECT card_name, captured_at FROM known_files WHERE camera = ?", camera)
-    return {(row[0], row[1]) for row in rows}
 
 
 def results(journal: Journal, campaign: str) -> Iterator[ResultRecord]:
@@ -297,6 +294,6 @@ def _capture(row: tuple[Any, ...]) -> CaptureRecord:
     values = dict(zip((field.name for field in fields(CaptureRecord)), row, strict=True))
     values["is_sharp"] = bool(values["is_sharp"])
     values["opening_s"] = json.loads(values["opening_s"])
-    values["files"] = {camera: (name, at) for camera, (name, at) in json.loads(values["files"]).items()}
+    values["files"] = {camera: CardIdentity(*known) for camera, known in json.loads(values["files"]).items()}
     values["cameras"] = tuple(json.loads(values["cameras"]))
     return CaptureRecord(**values)

@@ -102,3 +102,33 @@ CREATE INDEX events_of_campaign ON events (campaign, kind);
 
 LATER_INDEX = "CREATE INDEX IF NOT EXISTS campaigns_in_state ON campaigns (state, number)"
 """Counts queued campaigns each second without reading their texts. Made for journals of before it, too."""
+CARD_TABLES = """
+CREATE TABLE card_files (
+    camera TEXT NOT NULL,
+    card_name TEXT NOT NULL,
+    captured_at TEXT NOT NULL,
+    handle INTEGER NOT NULL,
+    size_bytes INTEGER NOT NULL,
+    is_copied INTEGER NOT NULL,
+    PRIMARY KEY (camera, card_name, captured_at, handle, size_bytes)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE owed_files (
+    camera TEXT NOT NULL,
+    campaign TEXT NOT NULL,
+    capture TEXT NOT NULL,
+    opened_at TEXT NOT NULL,
+    exposure_s REAL NOT NULL,
+    PRIMARY KEY (camera, campaign, capture)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE camera_clocks (
+    camera TEXT PRIMARY KEY,
+    offset_s REAL NOT NULL,
+    sd_s REAL NOT NULL,
+    exposure_s REAL NOT NULL,
+    measured_at TEXT NOT NULL
+) STRICT, WITHOUT ROWID;
+INSERT OR IGNORE INTO card_files SELECT camera, card_name, captured_at, -1, -1, 0 FROM known_files;
+INSERT OR IGNORE INTO card_files SELECT camera, card_name, captured_at, -1, size_bytes, 1 FROM frames
+"""
+"""Of cards and cameras' clocks (`labdaemon.journal.card_records`): added to a journal of version 0.1.0, which knew
+files by name and time alone and can still be read by the labdaemon that wrote it."""

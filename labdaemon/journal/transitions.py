@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from labdaemon.journal.card_records import CardIdentity, ClockOffset, add_card_file, keep_offsets
 from labdaemon.journal.journal import Journal, Transaction
 from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
 
@@ -133,6 +134,16 @@ def intend_capture(journal: Journal, capture: CaptureRecord) -> None:
             capture.exposure_s,
             json.dumps(capture.cameras),
         )
+        for camera in capture.cameras:
+            write.execute(
+                "INSERT OR REPLACE INTO owed_files (camera, campaign, capture, opened_at, exposure_s) "
+                "VALUES (?, ?, ?, ?, ?)",
+                camera,
+                capture.campaign,
+                capture.name,
+                write.at,
+                capture.exposure_s,
+            )
 
 
 def fire_capture(
@@ -158,6 +169,9 @@ def fire_capture(
             campaign,
             name,
         )
+        write.execute(
+            "UPDATE owed_files SET opened_at = ? WHERE campaign = ? AND capture = ?", opened_at, campaign, name
+        )
         _answer(write, request_id, "capture", {"capture": name, "opened_at": opened_at})
 
 
@@ -176,8 +190,17 @@ def describe_capture(journal: Journal, capture: CaptureRecord) -> None:
         )
 
 
-def expose_capture(journal: Journal, campaign: str, name: str, files: Mapping[str, tuple[str, str]]) -> None:
-    """The shutters have closed and the excitation had not changed: these files are worth keeping."""
+def expose_capture(
+    journal: Journal,
+    campaign: str,
+    name: str,
+    files: Mapping[str, CardIdentity],
+    offsets: Iterable[ClockOffset] = (),
+) -> None:
+    """The shutters have closed and the excitation had not changed: these files are worth keeping.
+
+    `offsets` of the cameras' clocks were found from them.
+    """
     with journal.transaction("capture.exposed") as write:
         write.execute(
             "UPDATE captures SET state = 'exposed', files = ? WHERE campaign = ? AND name = ?",
@@ -185,10 +208,15 @@ def expose_capture(journal: Journal, campaign: str, name: str, files: Mapping[st
             campaign,
             name,
         )
+        write.execute("DELETE FROM owed_files WHERE campaign = ? AND capture = ?", campaign, name)
+        keep_offsets(write, offsets)
 
 
-def store_frame(journal: Journal, frame: FrameRecord) -> None:
-    """Vouch for a frame that is synced under its final name. After this, and not before, its card may be cleared."""
+def store_frame(journal: Journal, frame: FrameRecord, file: CardIdentity | None = None) -> None:
+    """Vouch for a frame that is synced under its final name. After this, and not before, its card may be cleared.
+
+    `file` is what it is known by on the card, where it is still there.
+    """
     with journal.transaction("frame.stored") as write:
         write.execute(
             "INSERT OR REPLACE INTO frames (campaign, capture, camera, path, card_name, captured_at, size_bytes, "
@@ -203,13 +231,14 @@ def store_frame(journal: Journal, frame: FrameRecord) -> None:
             frame.sha256,
             frame.state,
         )
-
-
-def know_files(journal: Journal, camera: str, files: Iterable[tuple[str, str]]) -> None:
-    """Note files on a camera's card, by name and time, that are none of ours: they are left alone for good."""
-    with journal.transaction("card.known") as write:
-        for card_name, captured_at in files:
-            write.execute("INSERT OR IGNORE INTO known_files VALUES (?, ?, ?)", camera, card_name, captured_at)
+        if file is not None:
+            add_card_file(write, frame.camera, file, is_copied=True)
+        write.execute(
+            "DELETE FROM owed_files WHERE camera = ? AND campaign = ? AND capture = ?",
+            frame.camera,
+            frame.campaign,
+            frame.capture,
+        )
 
 
 def complete_capture(journal: Journal, campaign: str, name: str, data: Mapping[str, Any]) -> None:

@@ -418,6 +418,8 @@ def test_a_poisoned_frame_is_kept_told_and_left_behind(simulate):
 def test_a_lost_frame_is_retried_and_its_companion_set_aside(simulate):
     async def scenario(lab: FakeLab):
         id = await lab.submit(RETRY)
+        while not records.captures(lab.journal, id, "stored"):
+            await lab.clock.sleep(0.1)  # from then on the body's clock is known, and says whose a file is
         lab.world.fail("right.release", "lost_file")
         assert (await lab.until(id)).state == "completed"
         [lost] = records.captures(lab.journal, id, "discarded")

@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.capture.devices import CardFile
-from labdaemon.capture.pairing import Arrivals, CameraClocks, camera_seconds, is_frame
-from labdaemon.errors import DeviceError
+from labdaemon.capture.pairing import Arrivals, CameraClocks, Opening, Verdict, camera_seconds, is_frame
 
 
 def stamped(seconds: float, name: str = "DSC_0001.NEF") -> CardFile:
@@ -26,35 +25,110 @@ def test_what_is_no_time_is_none(text: str):
     assert camera_seconds(text) is None
 
 
-def test_a_jpeg_beside_the_raw_file_is_no_frame():
-    assert is_frame(stamped(0.0, "DSC_0001.NEF"))
-    assert not is_frame(stamped(0.0, "DSC_0001.JPG"))
+@pytest.mark.parametrize(
+    ("name", "form", "may_be"),
+    [
+        ("DSC_0001.NEF", 0x3000, True),
+        ("DSC_0001.NEF", 0, True),
+        ("IMG_0001.CR3", 0xB108, True),
+        ("DSC00001.ARW", 0xB101, True),
+        ("x.DNG", 0x3811, True),
+        ("DSC_0001.JPG", 0x3801, False),
+        ("DSC_0001.JPG", 0, False),
+        ("DSC_0001.HIF", 0x3000, False),
+        ("DSC_0001.HEIC", 0xB110, False),
+        ("DSC_0001.NDF", 0x3000, False),
+        ("DSC_0001.xmp", 0x3000, False),
+        ("DSC_0001.MOV", 0x300D, False),
+        ("DSC_0001", 0x3801, False),
+        ("100NCD80", 0x3001, False),
+    ],
+)
+def test_a_frame_by_format_and_name(name: str, form: int, may_be: bool):
+    assert is_frame(CardFile(1, name, 10, "", form)) is may_be
+
+
+def opening(opened_s: float, exposure_s: float = 1.0, capture: str = "c") -> Opening:
+    return Opening("0001-x", capture, opened_s, exposure_s)
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.floats(0.5, 60.0), min_size=1, max_size=20), st.floats(-0.2, 0.2), st.sampled_from([0.25, 1.0]))
-def test_openings_in_order_are_accepted_whatever_the_bodies_clocks_say(gaps, drift, exposure_s):
+@given(
+    st.lists(st.floats(0.5, 60.0), min_size=1, max_size=20),
+    st.floats(-0.2, 0.2),
+    st.sampled_from([0.25, 1.0, 10.0]),
+    st.booleans(),
+)
+def test_openings_in_order_are_accepted_whatever_the_bodies_clocks_say(gaps, drift, exposure_s, stamps_end):
     clocks, opened_s = CameraClocks(), 100.0
     for gap in gaps:
         opened_s += gap
-        files = {"left": stamped(opened_s), "right": stamped(opened_s + 900.0 + drift)}
-        clocks.check(files, opened_s, exposure_s)
+        end_s = exposure_s if stamps_end else 0.0
+        files = {"left": stamped(opened_s), "right": stamped(opened_s + 900.0 + drift + end_s)}
+        for camera, file in files.items():
+            assert clocks.judge(camera, file, opening(opened_s, exposure_s)) is Verdict.OWN
+        clocks.follow(files, opening(opened_s, exposure_s))
 
 
 @pytest.mark.parametrize("off_s", [-8.0, -4.0, 5.0, 30.0])
-def test_a_file_of_another_opening_is_refused(off_s: float):
+@pytest.mark.parametrize("exposure_s", [1.0, 10.0])
+def test_a_file_of_another_opening_is_refused(off_s: float, exposure_s: float):
     clocks = CameraClocks()
-    clocks.check({"left": stamped(100.0), "right": stamped(100.0)}, 100.0, 1.0)
-    with pytest.raises(DeviceError, match=r"right: DSC_0001.NEF was taken .* belongs to another one"):
-        clocks.check({"left": stamped(160.0), "right": stamped(160.0 + off_s)}, 160.0, 1.0)
-    clocks.check({"left": stamped(170.0), "right": stamped(170.0)}, 170.0, 1.0)
+    clocks.follow({"right": stamped(100.0)}, opening(100.0, exposure_s))
+    assert clocks.judge("right", stamped(160.0 + off_s), opening(160.0, exposure_s)) is Verdict.FOREIGN
+    assert clocks.judge("right", stamped(170.0), opening(170.0, exposure_s)) is Verdict.OWN
+
+
+def test_a_late_file_is_its_own_opening_s_also_after_a_restart():
+    clocks = CameraClocks()
+    clocks.load("left", camera_seconds("20190101T100000") or 0.0, 10.0, 50.0)
+    earlier, now = opening(100.0, 10.0, "a"), opening(115.0, 10.0, "b")
+    assert clocks.judge("left", stamped(100.0), now, [earlier]) is Verdict.EARLIER
+    assert clocks.owner("left", stamped(100.0), [earlier]) == earlier
+    assert clocks.judge("left", stamped(115.0), now, [earlier]) is Verdict.OWN
+
+
+def test_two_openings_too_near_for_the_clock_are_not_guessed():
+    clocks = CameraClocks()
+    clocks.follow({"left": stamped(90.0)}, opening(90.0))
+    assert clocks.judge("left", stamped(101.0), opening(102.0), [opening(100.0)]) is Verdict.UNCLEAR
+    assert not clocks.can_tell_apart("left", opening(100.0), 102.0)
+    assert clocks.can_tell_apart("left", opening(100.0), 106.0)
+
+
+@pytest.mark.parametrize("captured_at", ["", "20000101T000000"])
+def test_a_body_without_a_useful_clock_is_paired_by_order(captured_at: str):
+    """No date, or a clock that stands still: it is found out after two openings that it did not fit."""
+    clocks, file = CameraClocks(), CardFile(1, "DSC_0001.NEF", 10, captured_at)
+    refused = 0
+    for turn in range(6):
+        now = opening(100.0 + 20.0 * turn)
+        if clocks.judge("left", file, now) is Verdict.OWN:
+            clocks.follow({"left": file}, now)
+        else:
+            refused += 1
+            clocks.doubt("left")  # the fault makes the daemon connect anew
+    assert refused == (1 if captured_at else 0)
+    assert clocks.judge("left", file, opening(300.0), [opening(290.0)]) is Verdict.UNCLEAR
+    assert not clocks.can_tell_apart("left", opening(100.0), 300.0)
+
+
+def test_a_clock_that_a_person_sets_costs_one_capture():
+    clocks = CameraClocks()
+    clocks.follow({"left": stamped(100.0)}, opening(100.0))
+    assert clocks.judge("left", stamped(920.0), opening(120.0)) is Verdict.FOREIGN
+    assert clocks.judge("left", stamped(940.0), opening(140.0)) is Verdict.OWN
+    clocks.follow({"left": stamped(940.0)}, opening(140.0))
+    assert clocks.judge("left", stamped(150.0), opening(160.0)) is Verdict.FOREIGN
+    assert clocks.judge("left", stamped(960.0), opening(160.0)) is Verdict.OWN
 
 
 def test_a_body_that_was_away_may_come_back_with_another_time():
     clocks = CameraClocks()
-    clocks.check({"left": stamped(100.0)}, 100.0, 1.0)
-    clocks.forget("left")
-    clocks.check({"left": stamped(900.0)}, 110.0, 1.0)
+    clocks.follow({"left": stamped(100.0)}, opening(100.0))
+    clocks.doubt("left")
+    assert clocks.judge("left", stamped(900.0), opening(120.0), [opening(110.0)]) is Verdict.UNCLEAR
+    assert clocks.judge("left", stamped(900.0), opening(120.0)) is Verdict.OWN
 
 
 def test_files_of_outside_releases_are_sorted_into_captures():

@@ -12,6 +12,7 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, invar
 
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records, transitions
+from labdaemon.journal.card_records import CardIdentity
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CaptureRecord, FrameRecord
 from labdaemon.journal.transitions import WAYS_TO
@@ -90,7 +91,7 @@ class JournalMachine(RuleBasedStateMachine):
     def expose(self, capture) -> None:
         if self.capture_states[capture] == "discarded":
             return  # nothing becomes of it any more
-        transitions.expose_capture(self.journal, *capture, {"left": ("DSC_1", "t")})
+        transitions.expose_capture(self.journal, *capture, {"left": CardIdentity("DSC_1", "t")})
         self.capture_states[capture] = "exposed"
 
     @rule(capture=captures, camera=st.sampled_from(["left", "right"]))
