@@ -80,6 +80,11 @@ class ManualCaptures:
         self.exposure_s = 1.0
         """Exposure of captures that nobody planned and that the daemon releases."""
 
+    @property
+    def expected(self) -> int:
+        """Captures that wait for an outside system to release."""
+        return len(self._expected)
+
     async def capture(self, request: CaptureRequest, *, campaign: str | None) -> CaptureRecord:
         """Fire once, as the rig is; returns once fired, with storing and measuring still to come.
 

@@ -57,6 +57,8 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         lines.append(f"captures   {status.get('captures', 0)} of {status['captures_total']}")
     if manual:
         lines.append(f"manual     {manual} captures outside the plan")
+    if status.get("captures_expected"):
+        lines.append(f"expected   {status['captures_expected']} captures wait for the next release")
     if status.get("left_s") is not None:
         lines.append(f"time left  {duration(status['left_s'])}")
     if largest := _largest(status):

@@ -47,6 +47,7 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
         "captures": None,
         "captures_total": None,
         "captures_manual": taken.get(NO_STEP, 0),
+        "captures_expected": engine.manual.expected,
         "left_s": None,
         "largest_mm": largest.size_mm if largest else None,
         "largest_target": largest.target if largest else None,

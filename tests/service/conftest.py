@@ -110,3 +110,9 @@ def no_systemd(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "JOURNAL_STREAM"):
         monkeypatch.delenv(name, raising=False)
     assert "NOTIFY_SOCKET" not in os.environ
+
+
+@pytest.fixture
+def free_addresses() -> tuple[str, str]:
+    """Addresses for events and commands."""
+    return free_address(), free_address()
