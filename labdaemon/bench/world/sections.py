@@ -9,6 +9,7 @@ from labdaemon.bench.world.row import Options, Row
 
 SECTIONS = {
     "endings": "labdaemon.bench.world.endings",
+    "stopping": "labdaemon.bench.world.stopping",
 }
 """In the order of the table. Modules are imported when their section runs."""
 
