@@ -9,6 +9,8 @@ from labdaemon.bench.world.row import Options, Row
 
 SECTIONS = {
     "endings": "labdaemon.bench.world.endings",
+    "fuzz": "labdaemon.bench.world.fuzz",
+    "messages": "labdaemon.bench.world.messages",
     "stopping": "labdaemon.bench.world.stopping",
 }
 """In the order of the table. Modules are imported when their section runs."""

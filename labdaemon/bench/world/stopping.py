@@ -73,7 +73,7 @@ class Wire:
         threading.Thread(target=self._read, daemon=True).start()
 
     def lowered_s(self, since_s: float) -> float:
-        """When, after this moment, the first line had passed that lowers the level or switches off; infinity if none."""
+        """When, after this moment, the first line had passed that lowers the level or switches off, else infinity."""
         level = 0.0
         for at_s, text in list(self._passed):
             found = LEVEL.search(text)
