@@ -28,7 +28,8 @@ METHODS = (
 """Methods of messages; `capture` and `stop` would change what the daemon does."""
 JSON_VALUES = (
     "null", "true", "-1", "1e308", "1e999", "NaN", "[]", "{}", '""', '"\\ud800"', '"a\\udfffb"', "9" * 400,
-    '["\\ud83d"]', "0." + "1" * 500, "[" * 40 + "]" * 40, '"' + "x" * 2000 + '"', '{"\\ud800": 1}', '"\\u0000"', "9" * 18,
+    '["\\ud83d"]', "0." + "1" * 500, "[" * 40 + "]" * 40, '"' + "x" * 2000 + '"', '{"\\ud800": 1}', '"\\u0000"',
+    "9" * 18,
 )  # fmt: skip
 NAMES = ("toml", "label", "campaign", "request_id", "after", "limit", "accept_changed_rig", "unknown", "\\ud800", "")
 
