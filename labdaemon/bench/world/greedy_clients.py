@@ -21,7 +21,7 @@ def main() -> None:
 
 
 def _ask_for_ever(address: str, replays: int) -> None:
-    socket = zmq.Context.instance().socket(zmq.DEALER)
+    socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
     socket.connect(address)
     for number in range(replays):
         socket.send(_request(number))
