@@ -15,6 +15,7 @@ import resource
 import signal
 import sys
 import traceback
+from importlib.metadata import entry_points
 
 HANG_S = 60.0
 """On a machine that does nothing else ten would do; CPU time is what is judged."""
@@ -29,8 +30,8 @@ class Hang(BaseException):
 
 def main() -> None:
     """Serve until standard input ends."""
-    from labdaemon.cli.main import main as labdaemon
-
+    [command] = entry_points(group="console_scripts", name="labdaemon")
+    labdaemon = command.load()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries in C print, too
     signal.signal(signal.SIGALRM, _interrupt)
