@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labdaemon.capture.collect import identity, store
+from labdaemon.capture.concurrent import each_to_its_end
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
 from labdaemon.capture.own_frames import FrameContext, clock_offsets, load_clocks, prepare_cameras, wait_own
@@ -173,7 +173,7 @@ async def keep(
         lab.clocks.follow(files, opening)
         offsets = clock_offsets(lab.frames, opening, files)
     await lab.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets)
-    frames = await asyncio.gather(*(_store(lab, capture, camera, file) for camera, file in files.items()))
+    frames = await each_to_its_end(_store(lab, capture, camera, file) for camera, file in files.items())
     if capture.exposure_s == UNKNOWN_EXPOSURE_S:
         capture = await _read_exposure(lab, capture, list(frames))
     return await complete(lab, replace(capture, files=named), list(frames))

@@ -233,6 +233,12 @@ class FakeCamera:
         Handle and monotonic time of files that the host has not been told of yet.
     made
         SHA-256 of every frame it ever took.
+    late_s
+        How much later than usual it has written a file.
+    has_date, has_clock
+        Whether its files have a date, and whether that is of a clock that runs.
+    one_name
+        All its files have the same name and, once the one before is deleted, the same handle.
     """
 
     world: FakeWorld
@@ -243,6 +249,10 @@ class FakeCamera:
     arriving: deque[tuple[int, float]] = field(default_factory=deque)
     made: list[str] = field(default_factory=list)
     exposure_s: float = 1.0
+    late_s: float = 0.0
+    has_date: bool = True
+    has_clock: bool = True
+    one_name: bool = False
 
     def connect(self) -> CameraInfo:
         self.world.enter(self.name, "connect", 0.5)
@@ -274,11 +284,15 @@ class FakeCamera:
             f"{self.name} {number} {self.world.frequency_hz} {self.world.amplitude_mm} {self.world.moves()} {opened_s}"
         ).encode()
         self.made.append(hashlib.sha256(content).hexdigest())
-        at = (EPOCH + timedelta(seconds=opened_s)).strftime("%Y%m%dT%H%M%S")
-        handle = 0x10000 + number
-        file = CardFile(handle, f"DSC_{number:05d}.DNG", len(content), at)
-        self.card[handle] = (file, content)
-        self.arriving.append((handle, opened_s + exposure_s + 0.5))
+        at = EPOCH + timedelta(seconds=opened_s if self.has_clock else 0.0)
+        captured_at = at.strftime("%Y%m%dT%H%M%S") if self.has_date else ""
+        handle, name = 0x10000 + number, f"DSC_{number:05d}.DNG"
+        if self.one_name:
+            handle = next(free for free in range(0x10001, 0x20000) if free not in self.card)
+            name, content = "DSC_00001.DNG", content.ljust(100)
+            self.made[-1] = hashlib.sha256(content).hexdigest()
+        self.card[handle] = (CardFile(handle, name, len(content), captured_at), content)
+        self.arriving.append((handle, opened_s + exposure_s + 0.5 + self.late_s))
 
     def wait_file(self, timeout_s: float) -> CardFile | None:
         kind = self.world.enter(self.name, "wait_file")
@@ -296,7 +310,9 @@ class FakeCamera:
 
     def files(self) -> list[CardFile]:
         self.world.enter(self.name, "files", 0.1)
-        return [file for file, _ in self.card.values()]
+        now_s = self.world.clock.monotonic()
+        unwritten = {handle for handle, at_s in self.arriving if at_s > now_s}
+        return [file for handle, (file, _) in self.card.items() if handle not in unwritten]
 
     def download(self, file: CardFile, to: Path) -> None:
         kind = self.world.enter(self.name, "download", 0.5)

@@ -6,13 +6,13 @@ nor order says whose a file is, none is believed and the capture is repeated.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 
 from labdaemon.capture.collect import is_known, store, wait_frame
+from labdaemon.capture.concurrent import all_or_none, each_to_its_end
 from labdaemon.capture.devices import Camera, CardFile
 from labdaemon.capture.inspect_file import inspect
 from labdaemon.capture.pairing import SD_S, CameraClocks, Opening, Verdict
@@ -103,7 +103,7 @@ async def prepare_cameras(context: FrameContext) -> dict[str, frozenset[int]]:
     Handles on each card now: what is behind them is no file of the opening to come.
     """
     cameras = context.rig.cameras
-    handles = await asyncio.gather(*(_prepare(context, name, camera) for name, camera in cameras.items()))
+    handles = await each_to_its_end(_prepare(context, name, camera) for name, camera in cameras.items())
     return dict(zip(cameras, handles, strict=True))
 
 
@@ -189,7 +189,7 @@ async def wait_own(context: FrameContext, opening: Opening, seen: Mapping[str, f
         What it delivered is of another opening, or may be.
     """
     cameras = context.rig.cameras
-    files = await asyncio.gather(*(_wait_own(context, name, opening, seen.get(name, frozenset())) for name in cameras))
+    files = await all_or_none(_wait_own(context, name, opening, seen.get(name, frozenset())) for name in cameras)
     return dict(zip(cameras, files, strict=True))
 
 

@@ -205,7 +205,10 @@ class PtpCamera:
     def describe(self, file: CardFile) -> CardFile | None:
         """What the file's handle stands for now; None if it is gone."""
         with self._parsing():
-            return card_file(self._connected(), file.handle)
+            now = card_file(self._connected(), file.handle)
+        if now != file and self._watch is not None:
+            self._watch.ask_again(file.handle)
+        return now
 
     def read(self, file: CardFile, offset: int, size: int) -> bytes:
         """Part of a file, fewer bytes at its end.

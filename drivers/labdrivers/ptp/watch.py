@@ -85,6 +85,10 @@ class FileWatch:
         self._entries.pop(handle, None)
         self.known.difference_update({file for file in self.known if file.handle == handle})
 
+    def ask_again(self, handle: int) -> None:
+        """What is behind a handle has changed since it was asked for."""
+        self._entries.pop(handle, None)
+
     def next(self, timeout_s: float) -> CardFile | None:
         """Next new file; None when none came in time."""
         deadline = time.monotonic() + timeout_s
