@@ -45,3 +45,20 @@ def test_a_command_that_cannot_be_started(command: list[str]):
 def test_a_command_that_does_not_end_is_killed():
     with pytest.raises(HookError, match=r"does not end within 0\.3 s"):
         run_hook(python("import time; time.sleep(60)"), 0.3)
+
+
+@pytest.mark.parametrize("source", ["", "import sys; sys.stdin.read(10)", "import sys; sys.stdin.close()"])
+def test_a_command_that_does_not_read_its_input_has_not_failed(source: str):
+    assert run_hook(python(source), 20.0, b"x" * 1_000_000).status == 0
+
+
+def test_the_deadline_holds_while_a_command_ignores_a_large_input():
+    began = time.monotonic()
+    with pytest.raises(HookError, match="does not end"):
+        run_hook(python("import time; time.sleep(60)"), 0.5, b"x" * 1_000_000)
+    assert time.monotonic() - began < 20.0
+
+
+def test_what_is_written_is_read_to_its_end():
+    done = run_hook(python("import sys; text = sys.stdin.read(); print(len(text))"), 20.0, b"x" * 300_000)
+    assert done.last_line == "300000"

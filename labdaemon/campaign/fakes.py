@@ -77,7 +77,7 @@ class FakeMeasurer:
         return Measured(rows, [{"capture": name, "camera": path.stem} for path in frames])
 
     async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
-        if self.wrong_size:
+        if frames and self.wrong_size:
             raise SetupError(self.wrong_size)
 
     def write_results(self, folder: Path, results: Iterable[Measured]) -> None:

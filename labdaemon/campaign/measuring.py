@@ -114,6 +114,7 @@ class Measuring:
         self._broken: BaseException | None = None
         self.patiently: Patience = self._until_taken
         """Does work that the disk may refuse for a while; the engine's own reports it."""
+        self._start: asyncio.Task[None] | None = None
         self._checked: set[str] = set()
         """Campaigns whose first frames were looked at."""
         self._reported: set[tuple[str, str]] = set()
@@ -173,6 +174,8 @@ class Measuring:
         `group_sizes` tells how many captures each group has.
         """
         self._group_sizes[campaign] = group_sizes
+        # A worker starts while the first frames are taken: the campaign waits for the look at them.
+        self._start = asyncio.create_task(self._measurer.check_frames(campaign_folder(self._data, campaign), []))
         await self.rewrite(campaign)
 
     async def rewrite(self, campaign: str) -> None:
@@ -226,7 +229,7 @@ class Measuring:
 
     async def cancel(self) -> None:
         """Give up what is in hand; the journal still has it as stored."""
-        tasks = list(self._tasks.values())
+        tasks = [*self._tasks.values(), *([self._start] if self._start is not None else [])]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

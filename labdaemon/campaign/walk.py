@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 
 from labdaemon.campaign.steps import Shot, Step
 from labdaemon.capture.capture import Describe, Fired, Lab, keep, take
@@ -125,7 +126,7 @@ class Walker:
         write = self.lab.recorder.write
         self.begun()
         await write(transitions.intend_capture, order)
-        opened_at = firing.opened_at if firing is not None else self.lab.clock.now()
+        opened_at = firing.opened_at if firing is not None else self._opened_at(order)
         opening_s = firing.opening_s if firing is not None else {}
         phase_rad = firing.phase_rad if firing is not None else None
         capture = with_opening(
@@ -149,10 +150,15 @@ class Walker:
         finally:
             self.ended()
 
+    def _opened_at(self, order: CaptureRecord) -> datetime:
+        """About when the shutters opened, where only the files' arrival is seen: the first comes at their end."""
+        since_s = self.lab.clock.monotonic() - self.arrivals.first_s if self.arrivals is not None else 0.0
+        return self.lab.clock.now() - timedelta(seconds=since_s + order.exposure_s)
+
     async def releases(self, end_s: float | None) -> AsyncGenerator[tuple[Firing | None, dict[str, CardFile]]]:
         """Outside releases as they come: what the trigger saw of them (None without one), and a file a camera."""
         clock, rig = self.lab.clock, self.lab.rig
-        arrivals = self.arrivals or Arrivals(tuple(rig.cameras), self.window_s)
+        arrivals = self.arrivals = self.arrivals or Arrivals(tuple(rig.cameras), self.window_s)
         turn = self.turn or asyncio.Lock()
         while end_s is None or clock.monotonic() < end_s:
             if rig.trigger is not None:

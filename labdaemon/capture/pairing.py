@@ -46,6 +46,10 @@ NOT_RAW_FORMATS = frozenset(
 )
 """PTP's object formats of folders, notes, sounds, films and finished pictures, and makers' own for HEIF and films."""
 
+LAG_TOLERANCE_S = 1.5
+"""Two bodies that tell whole seconds may differ by one second more or less from one opening to the next."""
+MOST_LAGS = 8
+
 _TIME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T ](\d\d):?(\d\d):?(\d\d)(\.\d+)?")
 
 
@@ -215,6 +219,10 @@ class CameraClocks:
             clock.is_doubted = True
 
 
+def _near(lags: tuple[float, ...], others: tuple[float, ...]) -> bool:
+    return all(abs(one - other) <= LAG_TOLERANCE_S for one, other in zip(lags, others, strict=True))
+
+
 class Arrivals:
     """Sorts files that outside releases made into captures: one from every camera within a window.
 
@@ -229,17 +237,44 @@ class Arrivals:
     def __init__(self, cameras: tuple[str, ...], window_s: float) -> None:
         self._cameras, self._window_s = cameras, window_s
         self._waiting: dict[str, list[tuple[float, CardFile]]] = {camera: [] for camera in cameras}
+        self._alone: list[tuple[str, CardFile]] = []
+        self._lags: list[tuple[float, ...]] = []
+        """How far the bodies' clocks are apart, seconds: as in the last set that was accepted, then in refused ones."""
+        self.first_s = 0.0
+        """Monotonic time at which the first file of the last whole set arrived."""
 
     def add(self, camera: str, file: CardFile, at_s: float) -> dict[str, CardFile] | None:
         """Take a file that arrived at this monotonic time; the whole set, once every camera's is there."""
         self._waiting[camera].append((at_s, file))
-        if not all(self._waiting.values()):
-            return None
-        return {camera: queue.pop(0)[1] for camera, queue in self._waiting.items()}
+        while all(self._waiting.values()):
+            first = {camera: queue[0] for camera, queue in self._waiting.items()}
+            if self._is_one_opening([file for _, file in first.values()]):
+                self.first_s = min(at_s for at_s, _ in first.values())
+                return {camera: queue.pop(0)[1] for camera, queue in self._waiting.items()}
+            oldest = min(first, key=lambda camera: first[camera][0])
+            self._alone.append((oldest, self._waiting[oldest].pop(0)[1]))
+        return None
+
+    def _is_one_opening(self, files: Sequence[CardFile]) -> bool:
+        """Whether the bodies' own times are as far apart as they were before.
+
+        A release that one body missed would otherwise pair its next frame with the other's last one. A difference that
+        comes twice is a clock that was set, and counts from then on.
+        """
+        stamps = [camera_seconds(file.captured_at) for file in files]
+        if any(stamp is None for stamp in stamps):
+            return True  # a body without a clock is paired by order alone
+        lags = tuple((stamp or 0.0) - (stamps[0] or 0.0) for stamp in stamps)
+        known = [other for other in self._lags if _near(lags, other)]
+        if self._lags and not known:
+            self._lags = [*self._lags, lags][-MOST_LAGS:]
+            return False
+        self._lags = [lags]
+        return True
 
     def late(self, now_s: float) -> list[tuple[str, CardFile]]:
         """Files whose window has closed without the others'; they will make no capture any more."""
-        late: list[tuple[str, CardFile]] = []
+        late, self._alone = self._alone, []
         for camera, queue in self._waiting.items():
             while queue and now_s - queue[0][0] > self._window_s:
                 late.append((camera, queue.pop(0)[1]))

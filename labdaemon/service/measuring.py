@@ -48,6 +48,8 @@ class PoolMeasurer:
     async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
         """Compare the sizes of a campaign's first frames with its rig file.
 
+        Without frames it only starts a worker, which takes seconds: the campaign then need not wait for that.
+
         Raises
         ------
         SetupError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import tomllib
+from datetime import datetime
 from typing import Any
 
 import pytest
@@ -225,7 +226,10 @@ def test_the_next_outside_release_is_the_capture_that_was_announced(simulate):
         asking = asyncio.create_task(lab.engine.capture(CaptureRequest("crack", exposure_s=1.3)))
         await lab.clock.sleep(2.0)
         await fire_outside(lab)
-        assert (await asking).opened_at is not None
+        taken = await asking
+        assert taken.opened_at is not None
+        opened_s = (datetime.fromisoformat(taken.opened_at) - lab.clock.now()).total_seconds()
+        assert opened_s == pytest.approx(-15.0, abs=2.1)  # when it opened, not when its files had come
         await fire_outside(lab)
         names = [event["capture"] for event in events(lab, "envelope")]
         assert names == ["manual-000002-crack", "manual-000003-outside"]
@@ -272,5 +276,7 @@ def test_stored_manual_captures_are_measured_after_a_restart(simulate):
         lab.start()
         await lab.clock.sleep(30.0)
         assert [event["capture"] for event in events(lab, "envelope")] == ["manual-000002-before"]
+        again = await lab.engine.capture(CaptureRequest("before"))  # the same label of another day is another capture
+        assert again.name == "manual-000003-before"
 
     simulate(scenario)

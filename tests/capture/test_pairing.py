@@ -140,3 +140,32 @@ def test_files_of_outside_releases_are_sorted_into_captures():
     assert arrivals.late(6.9) == []
     assert arrivals.late(7.1) == [("left", second)]
     assert arrivals.add("right", second, 8.0) is None
+
+
+def test_a_release_that_one_body_missed_does_not_pair_its_next_frame_with_the_others_last():
+    arrivals = Arrivals(("left", "right"), window_s=5.0)
+    skew_s = 300.0  # the bodies' clocks are minutes apart
+    assert arrivals.add("left", stamped(10), 100.0) is None
+    assert arrivals.add("right", stamped(10 + skew_s), 100.4) is not None
+    assert arrivals.add("left", stamped(20), 110.0) is None  # right was not released
+    assert arrivals.add("right", stamped(24 + skew_s), 113.5) is None
+    pair = arrivals.add("left", stamped(23), 113.7)  # whole seconds: one more or less
+    assert pair is not None
+    assert pair["left"].captured_at == stamped(23).captured_at
+    assert [(camera, file.captured_at) for camera, file in arrivals.late(114.0)] == [("left", stamped(20).captured_at)]
+    assert arrivals.first_s == 113.5
+
+
+def test_a_clock_that_was_set_costs_one_capture_and_no_clock_pairs_by_order():
+    arrivals = Arrivals(("left", "right"), window_s=5.0)
+    paired = []
+    for number in range(6):
+        lag_s = 0.0 if number < 2 else 50.0  # somebody sets the right one's clock
+        at_s = 100.0 + 10.0 * number
+        arrivals.add("left", stamped(10.0 * number), at_s)
+        paired.append(arrivals.add("right", stamped(10.0 * number + lag_s), at_s + 0.2) is not None)
+        arrivals.late(at_s + 9.0)
+    assert paired == [True, True, False, True, True, True]
+    blind = Arrivals(("left", "right"), window_s=5.0)
+    assert blind.add("left", CardFile(1, "a.NEF", 10, ""), 1.0) is None
+    assert blind.add("right", CardFile(1, "b.NEF", 10, ""), 2.0) is not None
