@@ -3,75 +3,99 @@
 from __future__ import annotations
 
 import random
-import shutil
 import signal
-import tempfile
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
+from functools import partial
 
-from labdaemon.bench.kill import Victim, small_rig
+from labdaemon.bench.verdict import Verdict
+from labdaemon.bench.world.memory_limit import memory_limit
 from labdaemon.bench.world.row import Options, Row
-from labdaemon.stream.client import Client
+from labdaemon.bench.world.subject import Subject, subject
 
-CAMPAIGN = """
-name = "endings"
-[[phase]]
-kind = "steps"
-frequency_hz = { start = 4, stop = 14, count = 60 }
-amplitude_mm = 0.5
-exposure_s = 0.25
-settle = { timeout_s = 0.5 }
-"""
-
-DEATHS = (signal.SIGKILL, signal.SIGHUP, signal.SIGQUIT, signal.SIGABRT)
 DEATH_S = 2.0
 """Longest that the table may move after the daemon has died."""
-PATIENCE_S = 10.0
+HANG_S = 4.0
+"""The same after it has begun to hang."""
+PATIENCE_S = 15.0
+REST_S = 0.3
+"""At rest counts once it has lasted so long."""
+ALL, QUICK = 200, 2
+
+End = Callable[[Subject], None]
+
+
+def _signal(number: int, daemon: Subject) -> None:
+    daemon.process.send_signal(number)
+
+
+def _run_out_of_memory(daemon: Subject) -> None:
+    """In a control group where that can be made; else all it comes to in the end, the OOM killer's signal."""
+    with memory_limit(daemon.process.pid) as is_limited:
+        if not is_limited:
+            daemon.process.kill()
+            return
+        daemon.obey("memory")
+        daemon.process.wait(PATIENCE_S)
+
+
+def _hang(daemon: Subject) -> None:
+    daemon.obey("hang")
+
+
+ENDINGS: dict[str, tuple[End, float]] = {
+    "SIGKILL": (partial(_signal, signal.SIGKILL), DEATH_S),
+    "SIGHUP": (partial(_signal, signal.SIGHUP), DEATH_S),
+    "SIGQUIT": (partial(_signal, signal.SIGQUIT), DEATH_S),
+    "SIGABRT": (partial(_signal, signal.SIGABRT), DEATH_S),
+    "out of memory": (_run_out_of_memory, DEATH_S),
+    "SIGSTOP": (partial(_signal, signal.SIGSTOP), HANG_S),
+    "hung event loop": (_hang, HANG_S),
+}
+"""How the daemon ends, and how long the table may move then, seconds."""
 
 
 def rows(options: Options) -> Iterator[Row]:
-    """A row for each kind of ending."""
-    tries = 2 if options.quick else 25
-    moments = random.Random(options.seed)
-    for number in DEATHS:
-        took = [_rest_after(number, moments, options.seed) for _ in range(tries)]
-        slowest_s = max(took)
-        yield Row("endings", number.name, tries, f"at rest after {slowest_s:.2f} s", "<= 2 s", slowest_s <= DEATH_S)
+    """A row for each kind of ending, and one for what was lost in all of them."""
+    moments, verdict, tried = random.Random(options.seed), Verdict(), 0
+    for place, (what, (end, limit_s)) in enumerate(ENDINGS.items()):
+        tries = QUICK if options.quick else ALL // len(ENDINGS) + (place < ALL % len(ENDINGS))
+        with subject(options.seed + place) as daemon:
+            took_s = sorted(_rest_after(daemon, end, moments.uniform(0.0, 4.0)) for _ in range(tries))
+            verdict += daemon.finish()
+        tried += tries
+        result = f"at rest after {took_s[len(took_s) // 2]:.2f} s, at most {took_s[-1]:.2f} s"
+        yield Row("endings", what, tries, result, f"<= {limit_s:g} s", took_s[-1] <= limit_s)
+    counts = (
+        f"{verdict.frames_lost} frames lost, {verdict.results_repeated} results repeated, {verdict.results_missing} "
+        f"missing, {verdict.seq_gaps} gaps in seq, {verdict.open_ends} left open"
+    )
+    yield Row("endings", "after all of them", tried, counts, "0", verdict.is_well)
 
 
-def _rest_after(number: signal.Signals, moments: random.Random, seed: int) -> float:
-    """Seconds from a signal at a random moment of a campaign until the table rests; infinite if it does not."""
-    folder = Path(tempfile.mkdtemp(prefix="labdaemon-endings-"))
-    try:
-        with small_rig(seed, enable_wired=False) as rig:
-            victim = Victim(rig, folder)
-            victim.start()
-            try:
-                with Client(victim.commands, timeout_s=20.0) as client:
-                    client.call("campaign.submit", toml=CAMPAIGN)
-                _until_moving(rig, moments.uniform(0.0, 3.0))
-                victim.process.send_signal(number)
-                return _seconds_until_rest(rig)
-            finally:
-                victim.kill()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+def _rest_after(daemon: Subject, end: End, moment_s: float) -> float:
+    """Seconds from an ending at a moment of a campaign until the table rests; infinite if it does not.
 
-
-def _until_moving(rig: Any, longer_s: float) -> None:
-    """Wait until the table moves, and some time longer."""
-    end = time.monotonic() + 60.0
-    while not rig.table()["moving"] and time.monotonic() < end:
-        time.sleep(0.02)
-    time.sleep(longer_s)
-
-
-def _seconds_until_rest(rig: Any) -> float:
+    Another daemon is started afterwards.
+    """
+    daemon.keep_moving()
+    time.sleep(moment_s)
     began = time.monotonic()
-    while rig.table()["moving"]:
-        if time.monotonic() > began + PATIENCE_S:
-            return float("inf")
+    end(daemon)
+    rest_s = _seconds_until_rest(daemon, began)
+    daemon.kill()  # what was stopped by a signal, or ended, is gone for certain
+    daemon.start()
+    return rest_s
+
+
+def _seconds_until_rest(daemon: Subject, began: float) -> float:
+    rested_at: float | None = None
+    while time.monotonic() < began + PATIENCE_S:
+        if daemon.rig.table()["moving"]:
+            rested_at = None
+        elif rested_at is None:
+            rested_at = time.monotonic()
+        elif time.monotonic() > rested_at + REST_S:
+            return rested_at - began
         time.sleep(0.01)
-    return time.monotonic() - began
+    return float("inf")
