@@ -8,6 +8,8 @@ from typing import NamedTuple
 LONGEST_TICK_S = 0.5
 """A tick that took longer shows that the whole machine stood still (a paused virtual machine, a swap storm), not that
 the daemon was silent: it counts as this long."""
+STANDSTILL_S = 3.0
+"""One that took so long was most likely a suspend: some kernels let the monotonic clock run on through it."""
 SUSPENDED_S = 0.05
 """A suspend moves the two clocks apart by more than this."""
 
@@ -42,16 +44,20 @@ class Silence:
 
     def __init__(self, began: Moment) -> None:
         self._last = self._heard = began
+        self._may_ask = True
         self.silent_s = self.longest_s = 0.0
 
     def tick(self, at: Moment) -> float:
-        """Time has passed; the silence so far, seconds. A suspend begins it anew: the daemon is asked once more."""
-        suspended_s = (at.boot_s - at.monotonic_s) - (self._last.boot_s - self._last.monotonic_s)
-        if suspended_s > SUSPENDED_S:
-            self.silent_s = 0.0
-            self._heard = at
+        """Time has passed; the silence so far, seconds.
+
+        A suspend begins it anew: the daemon is asked once more, and only once.
+        """
+        tick_s = at.monotonic_s - self._last.monotonic_s
+        suspended_s = at.boot_s - self._last.boot_s - tick_s
+        if self._may_ask and (suspended_s > SUSPENDED_S or tick_s > STANDSTILL_S):
+            self.silent_s, self._may_ask, self._heard = 0.0, False, at
         else:
-            self.silent_s += min(at.monotonic_s - self._last.monotonic_s, LONGEST_TICK_S)
+            self.silent_s += min(tick_s, LONGEST_TICK_S)
         self._last = at
         return self.silent_s
 
@@ -61,4 +67,4 @@ class Silence:
         if counts:
             self.longest_s = max(self.longest_s, at.monotonic_s - self._heard.monotonic_s)
         self._heard = at
-        self.silent_s = 0.0
+        self.silent_s, self._may_ask = 0.0, True

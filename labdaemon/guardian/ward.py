@@ -18,7 +18,8 @@ class Ward:
     Parameters
     ----------
     pid
-        Its process id.
+        The daemon's own word for its process id. Our parent is not always the daemon: if that has died already, it is
+        whoever adopts orphans (init, a user's systemd), which must never be killed.
     """
 
     def __init__(self, pid: int) -> None:
@@ -28,6 +29,11 @@ class Ward:
             self._file = os.pidfd_open(pid)
         if os.getppid() != pid:
             self.close()
+
+    @property
+    def descriptor(self) -> int | None:
+        """Readable once the process has ended; None where the kernel offers none, or it had ended before."""
+        return self._file
 
     @property
     def is_alive(self) -> bool:

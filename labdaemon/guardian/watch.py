@@ -1,8 +1,8 @@
 """The guardian's life: hear the daemon's heartbeat, and stop the table when it ceases.
 
-Lines of JSON on standard input: first ``{"recipe": …, "silence_s": …, "patience_s": …, "report": …, "rig": …}``, then
-heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``. On standard output each heartbeat is answered
-by ``{"heard": n, "longest_s": …}``, so that the daemon knows that it is guarded.
+Lines of JSON on standard input: first ``{"daemon": pid, "recipe": …, "silence_s": …, "patience_s": …, "report": …,
+"rig": …}``, then heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``. On standard output each
+heartbeat is answered by ``{"heard": n, "longest_s": …}``, so that the daemon knows that it is guarded.
 """
 
 from __future__ import annotations
@@ -83,8 +83,12 @@ class Watch:
         """Hear heartbeats; why they ceased, None after a goodbye."""
         poll = select.poll()
         poll.register(source, select.POLLIN | select.POLLHUP)
+        if self._ward.descriptor is not None:
+            # A process that the daemon has forked may hold the pipe open long after the daemon is gone.
+            poll.register(self._ward.descriptor, select.POLLIN)
         while True:
-            if poll.poll(1000 * TICK_S):
+            ready = dict(poll.poll(1000 * TICK_S))
+            if source in ready:
                 data = os.read(source, 1 << 16)
                 beats = self.feed(data, now())
                 if self._bye:
@@ -92,6 +96,8 @@ class Watch:
                 if not data:
                     return "ended without bringing the table to rest"
                 _answer(answers, beats, self._silence.longest_s)
+            elif ready:
+                return "ended without bringing the table to rest"
             elif self._silence.tick(now()) > self.silence_s and self._moving and not poll.poll(0):
                 return f"has been silent for {self._silence.silent_s:.1f} s with the table moving"
 
@@ -135,13 +141,12 @@ def read_setup(source: int) -> dict[str, Any]:
 
 def main() -> int:
     """Guard the parent process; the exit status is 0 when the table rests as far as is known."""
-    ward = Ward(os.getppid())
     ignore_signals()
     os.chdir("/")  # keeps no file system busy
     setup = read_setup(0)
     if not setup:
         return 0  # nothing has moved yet
-    watch = Watch(setup, ward)
+    watch = Watch(setup, Ward(setup["daemon"]))
     signal.signal(HAND_OVER, watch.hand_over)
     os.set_blocking(1, False)
     return watch.run(0, 1)

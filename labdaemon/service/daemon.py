@@ -156,6 +156,7 @@ async def _hold_table(
         atexit.register(last_resort)
         guardian = await afterwards.enter_async_context(guarded_table(config, rig, table, data, clock))
         rest = await bring_to_rest(rig, at_once=True)
+        table.may_move = False  # the imports below hold up the heartbeat for seconds on a busy machine
         log.info("table at rest (%s)", rest.by)
         journal = Journal(data, clock, replace_damaged=options.new_journal, lock=lock)
         try:

@@ -16,7 +16,8 @@ from labdaemon.capture.rig import Rig
 from labdaemon.capture.table import Table
 from labdaemon.clock import Clock
 from labdaemon.service.config import RigConfig
-from labdaemon.service.guarding import Guardian, GuardianSettings
+from labdaemon.service.guardian_process import GuardianSettings
+from labdaemon.service.guarding import Guardian
 from labdaemon.service.shaker_lock import lock_holder, wait_free
 
 log = logging.getLogger(__name__)
@@ -35,18 +36,16 @@ async def guarded_table(
     Enter it when the shaker was reached and nothing has moved, leave it after the last stop. It yields None where the
     shaker cannot be guarded: there is none, it is simulated in this process, or its driver cannot say how (the log
     names it).
-
-    Raises
-    ------
-    OSError
-        No process can be started.
     """
     guardian = _make(config, rig, table, data, clock)
     if guardian is None:
         yield None
         return
-    await guardian.start()
     table.before_motion = guardian.arm
+    try:
+        await guardian.start()
+    except Exception as exc:  # whatever is short at the moment: until there is one, nothing moves
+        log.critical("no guardian can be started yet (%s)", exc)
     heartbeat = asyncio.create_task(guardian.run())
     try:
         yield guardian

@@ -25,6 +25,6 @@ def test_the_table_and_the_exit_status_report_what_does_not_hold(monkeypatch):
     monkeypatch.setattr(world, "section", lambda name: rows)
     done = CliRunner().invoke(world.command, ["--section", "endings", "--quick", "--seed", "7", "--json"])
     assert done.exit_code == 1
-    assert seen == [Options(quick=True, seed=7)]
+    assert seen == [Options(quick=True, seed=7, soak_minutes=1.0)]
     assert [row["holds"] for row in json.loads(done.stdout)] == [True, False]
     assert table_of(rows(Options())).splitlines()[-1] == "| endings | a/b | 2 | at rest after 3.00 s | <= 2 s | NO |"

@@ -33,8 +33,22 @@ def test_a_suspend_asks_once_more():
 def test_time_in_which_the_guardian_itself_stood_still_hardly_counts():
     """A paused virtual machine, or a swap storm: the daemon could not beat, and the guardian could not hear."""
     silence = Silence(Moment(0.0, 0.0))
-    assert after(silence, (60.0, 0.0)) == LONGEST_TICK_S
-    assert after(silence, *[(3.0, 0.0)] * 4) > 2.0  # a hang is found all the same
+    assert after(silence, (2.0, 0.0)) == LONGEST_TICK_S
+    assert after(silence, *[(2.0, 0.0)] * 4) > 2.0  # a hang is found all the same
+
+
+def test_a_kernel_whose_monotonic_clock_runs_on_through_a_suspend():
+    silence = Silence(Moment(0.0, 0.0))
+    assert after(silence, *[(0.1, 0.0)] * 18, (3600.0, 0.0)) == 0.0
+    assert after(silence, *[(0.1, 0.0)] * 21) > 2.0
+
+
+def test_it_is_asked_once_more_only_once():
+    """A machine that is suspended again and again, or hardly runs, must not keep a hung daemon alive."""
+    silence = Silence(Moment(0.0, 0.0))
+    assert after(silence, *[(1.0, 60.0), (9.0, 0.0)] * 3) > 2.0
+    silence.heard(Moment(100.0, 300.0))
+    assert after(silence, (0.1, 60.0)) == 0.0
 
 
 def test_a_gap_at_rest_does_not_count_as_the_longest():

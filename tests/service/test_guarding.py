@@ -133,6 +133,25 @@ def test_the_table_comes_to_rest(ward, table, how):
 
 
 @pytest.mark.slow
+def test_a_forked_child_that_holds_the_pipe_does_not_hide_the_death(ward, table):
+    ward.do("fork")
+    child = ward.said()["child"]
+    ward.process.kill()
+    assert until(lambda: not table.moving())
+    assert until(ward.report.exists)
+    report = take_report(ward.report)
+    os.kill(child, signal.SIGKILL)
+    assert "ended without" in report  # not by its silence, which takes longer
+
+
+@pytest.mark.slow
+def test_an_end_without_rest_keeps_its_exit_status_and_the_guardian_goes_on(ward, table):
+    ward.do("give up")
+    assert ward.process.wait(PATIENCE_S) == 1  # it is not killed while the interpreter ends
+    assert until(lambda: not table.moving())
+
+
+@pytest.mark.slow
 def test_nothing_but_its_end_or_rest_ends_the_guardian(ward, table):
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGRTMIN):
         os.kill(ward.guardian, number)
@@ -196,6 +215,14 @@ def test_a_later_daemon_waits_for_the_guardian_that_is_still_at_it(ward, table, 
     waiting.join(PATIENCE_S)
     assert is_gone(ward.guardian)  # it has handed over
     assert "did NOT see it at rest" in take_report(ward.report)
+
+
+def test_an_adopter_of_orphans_is_never_taken_for_the_daemon():
+    """A guardian whose daemon died before it looked has another parent, which must not be killed."""
+    program = "import os, sys; from labdaemon.guardian.ward import Ward; w = Ward(int(sys.argv[1])); print(w.end(0.0))"
+    gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", program, gone.stdout.strip()], capture_output=True, text=True)
+    assert done.stdout == "False\n", done.stderr
 
 
 def test_what_the_guardian_imports():

@@ -1,20 +1,23 @@
 """A small daemon for tests of the guardian: it moves a SCPI shaker, beats, and hangs on request.
 
 ``python ward_program.py PORT CONFIG REPORT``; it prints a line of JSON for each thing that happens, and reads from
-standard input ``hang``, ``describe`` or ``end``.
+standard input ``hang``, ``fork``, ``describe``,
+``give up`` or ``end``.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import os
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 from labdaemon.clock import SystemClock
-from labdaemon.service.guarding import Guardian, GuardianSettings
+from labdaemon.service.guardian_process import GuardianSettings
+from labdaemon.service.guarding import Guardian
 from labdrivers.scpi import ScpiShaker
 
 
@@ -39,8 +42,16 @@ async def main(port: str, config: str, report: str) -> None:
         line = (await asyncio.to_thread(sys.stdin.readline)).strip()
         if line == "hang":
             time.sleep(3600.0)
+        if line == "fork":
+            child = os.fork()
+            if child == 0:
+                time.sleep(30.0)  # holds all descriptors of its parent, the pipe to the guardian as well
+                os._exit(0)
+            say(child=child)
         if line == "describe":
             say(**guardian.describe())
+        if line == "give up":  # an end that leaves the table moving, as after a stop that nothing confirmed
+            sys.exit(1)
         if line == "end":
             shaker.stop_now()
             moving = False

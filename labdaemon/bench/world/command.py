@@ -15,11 +15,14 @@ from labdaemon.bench.world.sections import SECTIONS, section
 @click.option("--section", "names", multiple=True, type=click.Choice(list(SECTIONS)), help="Only these.")
 @click.option("--quick", is_flag=True, help="A few tries of each kind.")
 @click.option("--seed", type=int, default=1, show_default=True)
+@click.option(
+    "--soak-minutes", type=click.FloatRange(0.1), help="Length of the soak for false trips; 30, or 1 with --quick."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(names: tuple[str, ...], quick: bool, seed: int, as_json: bool) -> None:
+def command(names: tuple[str, ...], quick: bool, seed: int, soak_minutes: float | None, as_json: bool) -> None:
     """Let the daemon meet what devices, disks, sockets and people do to it; one table."""
     logging.getLogger("labdaemon").addHandler(logging.NullHandler())  # faults are the subject; rows report them
-    options = Options(quick=quick, seed=seed)
+    options = Options(quick, seed, soak_minutes or (1.0 if quick else 30.0))
     rows: list[Row] = []
     for name in names or SECTIONS:
         for row in section(name)(options):

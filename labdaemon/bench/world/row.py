@@ -19,10 +19,13 @@ class Options:
         A few tries of each kind, for a look in a minute or two.
     seed
         Of random moments and mutations.
+    soak_minutes
+        How long a section that waits for something not to happen does so.
     """
 
     quick: bool = False
     seed: int = 1
+    soak_minutes: float = 30.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ SECTIONS = {
     "fuzz": "labdaemon.bench.world.fuzz",
     "messages": "labdaemon.bench.world.messages",
     "stopping": "labdaemon.bench.world.stopping",
+    "false trips": "labdaemon.bench.world.false_trips",
 }
 """In the order of the table. Modules are imported when their section runs."""
 

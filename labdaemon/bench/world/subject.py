@@ -80,7 +80,7 @@ class Subject(Victim):
 
     def keep_moving(self) -> None:
         """Submit a campaign if there is none, and wait until the table moves."""
-        wait_for(lambda: self._is_busy() and self.rig.table()["moving"])
+        wait_for(lambda: self.keep_busy() and self.rig.table()["moving"])
 
     def finish(self) -> Verdict:
         """Let the last campaign complete, end the daemon, and judge what is on disk."""
@@ -90,7 +90,8 @@ class Subject(Victim):
         taken = len(self.rig.truth())
         return judge(self.data, taken=taken, on_cards=on_cards, captures=STEPS * self.campaigns, has_files=False)
 
-    def _is_busy(self) -> bool:
+    def keep_busy(self) -> bool:
+        """Submit a campaign if there is none, resume one that paused; always true."""
         status = self.ask("status")
         if status["campaign"] is None and not status["queue"]:
             self.ask("campaign.submit", toml=CAMPAIGN)
