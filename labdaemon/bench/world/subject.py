@@ -15,7 +15,7 @@ from typing import Any
 from labdaemon.bench.kill import Victim, small_rig
 from labdaemon.bench.verdict import Verdict, judge
 from labdaemon.errors import LabdaemonError
-from labdaemon.service.config_sections import InterlocksSection
+from labdaemon.rig_sections import InterlocksSection
 from labdaemon.stream.client import Client
 
 STEPS = 12
