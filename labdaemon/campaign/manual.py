@@ -14,20 +14,22 @@ from typing import Any
 from labdaemon.campaign.manual_measuring import ManualMeasuring
 from labdaemon.campaign.manual_request import CaptureRequest, capture_name
 from labdaemon.campaign.reporter import Reporter
-from labdaemon.campaign.table_motion import contradiction, observe_table
+from labdaemon.campaign.table_motion import TableMotion, contradiction, observe_table
 from labdaemon.campaign.walk import Walker
 from labdaemon.capture.capture import Lab, take
 from labdaemon.capture.devices import CardFile, Firing
 from labdaemon.capture.pairing import Arrivals
+from labdaemon.capture.places import capture_folder
+from labdaemon.durable import write_durably
 from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
-from labdaemon.stream.messages import Busy
+from labdaemon.stream.messages import Busy, InvalidParams
 
 ANSWER_S = 10.0
 """How long a request waits for the outside system to release before it is answered without an opening."""
 EXPECTED_S = 600.0
-"""A release that comes later than this after its request is another one: nobody remembers what was asked."""
+"""A release that comes later than this after its request is another one: what was asked has been forgotten."""
 MOST_EXPECTED = 8
 
 log = logging.getLogger(__name__)
@@ -78,7 +80,7 @@ class ManualCaptures:
         self._arrivals = Arrivals(tuple(lab.rig.cameras), window_s)
         self._gauge_trouble: str | None = None
         self.exposure_s = 1.0
-        """Exposure of captures that nobody planned and that the daemon releases."""
+        """Exposure of captures outside any plan that the daemon releases."""
 
     @property
     def expected(self) -> int:
@@ -100,9 +102,14 @@ class ManualCaptures:
         ------
         DeviceError
             Trigger or cameras refused.
+        InvalidParams
+            The group has the name of a capture, or of planned ones.
         Busy
             Too many captures wait for an outside system already.
         """
+        group = request.group
+        if group is not None and records.is_taken(self._lab.recorder.journal, campaign or transitions.MANUAL, group):
+            raise InvalidParams(f"group {group!r} is the name of a capture, or of a planned group; take another one")
         if self._lab.rig.trigger is None:
             return await self._expect(request, campaign)
         await self._turn.acquire()
@@ -173,7 +180,7 @@ class ManualCaptures:
         return self._order(request, expected.campaign, expected.name, request.exposure_s or UNKNOWN_EXPOSURE_S)
 
     async def _keep(self, walker: Walker, firing: Firing | None, files: dict[str, CardFile]) -> None:
-        """Store an outside release as the capture that was asked for, or as one that nobody announced."""
+        """Store an outside release as the capture that was asked for, or as one that was not announced."""
         self._drop_late(self._lab.clock.monotonic())
         expected = self._expected.popleft() if self._expected else None
         request = expected.request if expected is not None else CaptureRequest("outside")
@@ -236,8 +243,8 @@ class ManualCaptures:
         )
 
     async def _describe(self, request: CaptureRequest, capture: CaptureRecord) -> CaptureRecord:
-        """Take frequency and amplitude from the table gauge where nobody stated them, and compare where they did."""
-        if capture.is_sharp or self._lab.table.excitation is not None:
+        """Take frequency and amplitude from the table gauge where they were not stated, and compare where they were."""
+        if self._lab.table.excitation is not None:
             return capture
         try:
             seen = await observe_table(self._lab.rig, request.frequency_hz, capture.exposure_s)
@@ -248,6 +255,9 @@ class ManualCaptures:
             return capture
         self._gauge_trouble = None
         if seen is None:
+            return capture
+        if capture.is_sharp:
+            await self._note_motion(capture, seen)
             return capture
         differs = contradiction(seen, request.frequency_hz, request.amplitude_mm)
         if differs is not None:
@@ -260,6 +270,19 @@ class ManualCaptures:
         if described != capture:
             await self._lab.recorder.write(transitions.describe_capture, described)
         return described
+
+    async def _note_motion(self, capture: CaptureRecord, seen: TableMotion) -> None:
+        """A sharp set of a table that moves gives shape and names, but no rest position: `process` must know it too."""
+        if seen.frequency_hz is None:
+            return
+        note = capture_folder(self._lab.data, capture) / "set.toml"
+        await self._lab.recorder.on_disk(write_durably, note, "at_rest = false\n")
+        exc = DeviceError(
+            f"sees {seen.amplitude_mm or 0.0:.3g} mm at {seen.frequency_hz:.4g} Hz while the sharp set {capture.name} "
+            "was taken: it gives shape and names only; take another one with the table at rest",
+            device=seen.gauge,
+        )
+        await self._reporter.fault(exc, campaign=capture.campaign, step=None, action="kept as not at rest")
 
     def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.create_task(work)

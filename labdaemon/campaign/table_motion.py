@@ -1,4 +1,4 @@
-"""What the table gauge says of an excitation that others set, beside what they state of it."""
+"""What the table gauge says of an excitation that others set, and whether it agrees with what they state."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ SILENT_S = 3.0
 
 
 def duration(seconds: float | None) -> str:
-    """`1:02:03` or `2:03`; a dash when nobody knows."""
+    """`1:02:03` or `2:03`; a dash where it is not known."""
     if seconds is None:
         return "–"
     whole = round(max(seconds, 0.0))

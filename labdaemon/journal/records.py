@@ -194,6 +194,19 @@ def has_capture(journal: Journal, campaign: str, name: str) -> bool:
     )
 
 
+def is_taken(journal: Journal, campaign: str, group: str) -> bool:
+    """Whether a group's name is a capture's, or that of a planned group."""
+    return bool(
+        journal.read(
+            "SELECT 1 FROM captures WHERE campaign = ? AND (name = ? OR (grouped = ? AND step != ?)) LIMIT 1",
+            campaign,
+            group,
+            group,
+            NO_STEP,
+        )
+    )
+
+
 def latest_sharp(journal: Journal, campaign: str) -> CaptureRecord | None:
     """The newest sharp frame that is stored; its `sharp` names the set. None if there is none."""
     rows = journal.read(

@@ -42,7 +42,7 @@ def resolved(command: Sequence[str], rig: Path) -> tuple[str, ...]:
     Raises
     ------
     ConfigError
-        There is no such program: a night's pause would reach nobody.
+        There is no such program: a night's pause would reach no person.
     """
     program = command[0]
     if os.sep in program:

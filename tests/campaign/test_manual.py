@@ -13,6 +13,7 @@ from labdaemon.campaign.fakes import FakeLab
 from labdaemon.campaign.manual_request import CaptureRequest, capture_name, is_group_name, safe_name
 from labdaemon.campaign.table_motion import TableMotion, contradiction
 from labdaemon.journal import records
+from labdaemon.stream.messages import InvalidParams
 
 MANUAL = "0000-manual"
 
@@ -91,6 +92,7 @@ def test_the_folder_is_a_data_set_folder_and_a_changed_rig_keeps_the_old_file(si
 def test_what_is_stated_comes_along_everywhere(simulate):
     async def scenario(lab: FakeLab):
         await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.clock.sleep(10.0)
         request = CaptureRequest("s", frequency_hz=5.0, amplitude_mm=2.0, phase_rad=0.5, exposure_s=2.0)
         lab.world.drive(True, 5.0, 2.0)
         lab.world.enabled, lab.world.heartbeat_at = True, 1e9
@@ -112,6 +114,7 @@ def test_what_is_stated_comes_along_everywhere(simulate):
 def test_what_nobody_states_is_taken_from_the_table_gauge(simulate):
     async def scenario(lab: FakeLab):
         await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.clock.sleep(10.0)
         lab.world.drive(True, 7.25, 0.8)
         lab.world.enabled, lab.world.heartbeat_at = True, 1e9
         taken = await lab.engine.capture(CaptureRequest("seen"))
@@ -139,6 +142,20 @@ def test_at_rest_nothing_is_invented_and_a_dumb_gauge_is_reported_once(simulate)
             await lab.clock.sleep(30.0)
         assert [fault["device"] for fault in events(lab, "fault")] == ["table"]
         assert len(events(lab, "envelope")) == 3
+
+    simulate(scenario)
+
+
+def test_a_sharp_set_of_a_moving_table_gives_no_rest_position(simulate):
+    async def scenario(lab: FakeLab):
+        lab.world.drive(True, 7.25, 0.8)
+        lab.world.enabled, lab.world.heartbeat_at = True, 1e9
+        taken = await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        await lab.clock.sleep(15.0)
+        note = lab.data / "campaigns" / MANUAL / "sharp" / taken.name / "set.toml"
+        assert note.read_text() == "at_rest = false\n"
+        [fault] = events(lab, "fault")
+        assert "0.8 mm at 7.25 Hz" in fault["message"]
 
     simulate(scenario)
 
@@ -182,6 +199,8 @@ def test_a_group_is_measured_jointly_once_it_is_quiet_and_again_when_a_member_co
         assert sorted(result.name for result in kept) == ["manual-000006-alone", "turn"]
         sets = {one.sharp for one in records.group_members(lab.journal, MANUAL, "turn")}
         assert sets == {"manual-000001"}  # one for all members
+        with pytest.raises(InvalidParams, match="is the name of a capture"):
+            await lab.engine.capture(CaptureRequest(group="manual-000006-alone"))
 
     simulate(scenario)
 
@@ -234,7 +253,7 @@ def test_the_next_outside_release_is_the_capture_that_was_announced(simulate):
         names = [event["capture"] for event in events(lab, "envelope")]
         assert names == ["manual-000002-crack", "manual-000003-outside"]
         assert capture_file(lab, names[0])["exposure_s"] == 1.3
-        assert "exposure_s" not in capture_file(lab, names[1])  # nobody stated it, and the frame does not say
+        assert "exposure_s" not in capture_file(lab, names[1])  # not stated, and the frame does not say
         assert events(lab, "fault") == []
 
     simulate(scenario, has_trigger=False)

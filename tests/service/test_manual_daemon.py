@@ -67,11 +67,11 @@ def test_captures_that_others_fire_become_envelopes_that_process_reproduces(
     daemons.append(start_daemon(config, tmp_path / "data"))
     daemon = daemons[0].ready()
 
-    def told(kind: str) -> list[dict[str, Any]]:
+    def reported(kind: str) -> list[dict[str, Any]]:
         return [one["data"] for one in daemon.ask("events.replay", after=0)["events"] if one["kind"] == kind]
 
     def fire(label: str, *options: str) -> str:
-        stored = len(told("capture.completed"))
+        stored = len(reported("capture.completed"))
         asked = subprocess.Popen(
             [*LABDAEMON, "capture", "--label", label, "--json", "--address", commands, *options],
             stdout=subprocess.PIPE,
@@ -80,7 +80,7 @@ def test_captures_that_others_fire_become_envelopes_that_process_reproduces(
         until(lambda: daemon.ask("status")["captures_expected"] == 1)
         box.fire(1.0)
         answer = json.loads(asked.communicate(timeout=60)[0])
-        until(lambda: len(told("capture.completed")) > stored)
+        until(lambda: len(reported("capture.completed")) > stored)
         return str(answer["capture"])
 
     fire("rest", "--sharp")
@@ -89,12 +89,12 @@ def test_captures_that_others_fire_become_envelopes_that_process_reproduces(
     time.sleep(4.5)  # the gauge's record holds nothing but the motion
     seen = fire("crack 7")
     wrong = fire("wrong", "--frequency-hz", "8", "--exposure-s", "1.0")
-    until(lambda: len(told("envelope")) == 2)
+    until(lambda: len(reported("envelope")) == 2)
     shaker.stop()
     shaker.close()
     box.close()
 
-    first, second = told("envelope")
+    first, second = reported("envelope")
     assert (first["capture"], first["label"], second["capture"]) == (seen, "crack 7", wrong)
     assert first["frequency_hz"] == pytest.approx(5.0, abs=0.01)
     assert first["excitation_amplitude_mm"] == pytest.approx(2.0, rel=0.05)
@@ -102,7 +102,7 @@ def test_captures_that_others_fire_become_envelopes_that_process_reproduces(
     clean = [target for target in first["targets"] if not target["flags"]]
     assert len(clean) > 20
     assert max(abs(target["ax_mm"]) for target in clean) > 1.5
-    [fault] = told("fault")
+    [fault] = reported("fault")
     assert "where 8 Hz was stated" in fault["message"]
     until(lambda: (tmp_path / "hook.json").is_file() and (tmp_path / "hook.json").read_text())
     assert json.loads((tmp_path / "hook.json").read_text())["data"] == fault
