@@ -13,6 +13,7 @@ import logging
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -160,13 +161,14 @@ async def _hold_table(
         log.info("table at rest (%s)", rest.by)
         journal = Journal(data, clock, replace_damaged=options.new_journal, lock=lock)
         try:
-            # Loading what measures takes longer than bringing the table to rest, so it comes after.
-            from labdaemon.service.serving import serve
-
+            # Loading what measures takes longer than bringing the table to rest, so it comes after; in a thread, so
+            # that the heartbeat goes out meanwhile.
+            serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
             held = Held(
                 config, options, data, clock, rig, table, journal, commands, desk, guardian, identities, ready, measurer
             )
-            return await serve(held, end)
+            status: int = await serving.serve(held, end)
+            return status
         finally:
             journal.close()
     finally:

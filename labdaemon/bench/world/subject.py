@@ -18,7 +18,7 @@ from labdaemon.errors import LabdaemonError
 from labdaemon.rig_sections import InterlocksSection
 from labdaemon.stream.client import Client
 
-STEPS = 12
+STEPS = 6
 CAMPAIGN = f"""
 name = "world"
 [[phase]]
