@@ -59,7 +59,7 @@ class AccuracyResult:
 
 def published_method_available() -> bool:
     """Whether the published method is part of this installation."""
-    return find_spec("labdaemon.blur.published.method") is not None
+    return find_spec("labdaemon.blur.mccarthy2016.method") is not None
 
 
 def run_accuracy(

@@ -14,7 +14,7 @@ import rawpy
 
 from labdaemon.bench.simulator import folder_maker
 from labdaemon.blur.frame import measure_frame
-from labdaemon.blur.motion import ExtraBlur, Start
+from labdaemon.blur.motion import Defocus, InitialGuess
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.folder import open_folder
@@ -125,13 +125,13 @@ class _Looked:
     camera: PreparedCamera
     frame: RawFrame
     smears: Sequence[Smear]
-    extra_blur: ExtraBlur | None
+    defocus: Defocus | None
 
     @classmethod
     def at(cls, camera: PreparedCamera, frame: RawFrame) -> _Looked:
         grey = frame.look()
         found = find_again(grey, camera.sought)
-        blur = frame_shift(frame, grey, camera.control).extra_blur
+        blur = frame_shift(frame, grey, camera.control).defocus
         return cls(camera, frame, [smear for smear in found if smear is not None], blur)
 
     def fit(self, count: int) -> object:
@@ -141,8 +141,8 @@ class _Looked:
             reach = 1.35 * np.hypot(smear.a_px, smear.b_px) + 1.6 * np.array(target.form.half_size_px) + 10
             x, y, w, h = (round(float(v)) for v in (*smear.centre_px, *reach))
             patches.append(self.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1))
-            starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
-        return measure_frame(self.camera.targets[: len(patches)], patches, starts=starts, extra_blur=self.extra_blur)
+            starts.append(InitialGuess(smear.centre_px, smear.a_px, smear.b_px))
+        return measure_frame(self.camera.targets[: len(patches)], patches, initial_guesses=starts, defocus=self.defocus)
 
 
 def _unpack(file: Path) -> int:

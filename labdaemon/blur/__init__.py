@@ -6,40 +6,40 @@ first: ``patch`` (what the sensor saw), ``solver``, ``spectra`` (dot, lens, pixe
 part cycles). ``published`` holds the published method, to compare with.
 """
 
-from labdaemon.blur.fit.still import measure_still
-from labdaemon.blur.frame import displacement, measure_frame
+from labdaemon.blur.fit.static_target import measure_static
+from labdaemon.blur.frame import measure_displacement, measure_frame
 from labdaemon.blur.group import measure_group
-from labdaemon.blur.law import DisplacementLaw
 from labdaemon.blur.measure import measure
-from labdaemon.blur.motion import ExtraBlur, Measurement, Start, StillMeasurement, Window
+from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, StaticMeasurement
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, NoiseModel, Patch
-from labdaemon.blur.phase.signs import RelativeSigns, relative_signs
+from labdaemon.blur.phase.signs import RelativeSigns, find_relative_signs
 from labdaemon.blur.sharp.fit_sharp import fit_sharp
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.sharp.texture import sharp_texture
-from labdaemon.blur.smear.defocus import frame_blur
+from labdaemon.blur.sharp.textured_patch import make_textured_patch
+from labdaemon.blur.smear.defocus import estimate_frame_defocus
+from labdaemon.blur.waveform import MotionWaveform
 
 __all__ = [
-    "DisplacementLaw",
+    "Defocus",
     "Dot",
-    "ExtraBlur",
+    "ExposureWindow",
+    "InitialGuess",
     "Measurement",
+    "MotionWaveform",
     "NoiseModel",
     "Patch",
     "RelativeSigns",
     "SharpTarget",
-    "Start",
-    "StillMeasurement",
-    "Window",
-    "displacement",
+    "StaticMeasurement",
+    "estimate_frame_defocus",
     "estimate_noise",
+    "find_relative_signs",
     "fit_sharp",
-    "frame_blur",
+    "make_textured_patch",
     "measure",
+    "measure_displacement",
     "measure_frame",
     "measure_group",
-    "measure_still",
-    "relative_signs",
-    "sharp_texture",
+    "measure_static",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 from labdaemon.blur.patch.pixels import FloatArray
 
 
-def positive(vector: FloatArray) -> FloatArray:
+def orient_positive(vector: FloatArray) -> FloatArray:
     """The vector or its opposite, so that its largest component is positive."""
     largest = vector[int(np.argmax(np.abs(vector)))]
     result: FloatArray = -vector if largest < 0 else vector
@@ -21,7 +21,9 @@ def moment_matrix(moment: FloatArray) -> FloatArray:
     return np.array([[moment[0], moment[1]], [moment[1], moment[2]]])
 
 
-def principal(moment: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def principal_moments(
+    moment: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Principal values and directions of M = aaᵀ + bbᵀ with their covariance.
 
     Parameters
@@ -35,7 +37,7 @@ def principal(moment: FloatArray, covariance: FloatArray) -> tuple[FloatArray, F
         (2,) larger first (px²); unit vectors (2,) each; (3, 3) covariance of (λ1, λ2, θ), θ the major axis' angle.
     """
     values, vectors = np.linalg.eigh(moment_matrix(moment))
-    major, minor = positive(vectors[:, 1]), positive(vectors[:, 0])
+    major, minor = orient_positive(vectors[:, 1]), orient_positive(vectors[:, 0])
     along = np.array([major[0] ** 2, 2 * major[0] * major[1], major[1] ** 2])
     across = np.array([minor[0] ** 2, 2 * minor[0] * minor[1], minor[1] ** 2])
     normal = np.array([-major[1], major[0]])
@@ -45,7 +47,7 @@ def principal(moment: FloatArray, covariance: FloatArray) -> tuple[FloatArray, F
     return values[::-1].copy(), major, minor, jacobian @ covariance @ jacobian.T
 
 
-def _through(
+def _propagate_covariance(
     function: Callable[[FloatArray], FloatArray], at: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """A function's value and the covariance that it inherits, by central differences."""
@@ -58,25 +60,25 @@ def _through(
     return value, jacobian @ covariance @ jacobian.T
 
 
-def _axes(moment: FloatArray) -> FloatArray:
+def _semi_axes(moment: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(moment)
     values = np.sqrt(np.maximum(values, 1e-12))
-    return np.concatenate((positive(vectors[:, 1]) * values[1], positive(vectors[:, 0]) * values[0]))
+    return np.concatenate((orient_positive(vectors[:, 1]) * values[1], orient_positive(vectors[:, 0]) * values[0]))
 
 
-def moment_axes(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def axes_from_moment(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(x, y, ax, ay, bx, by) and its covariance from (x, y, m0, m1, m2) and theirs."""
-    return _through(lambda p: np.concatenate((p[:2], _axes(moment_matrix(p[2:])))), at, covariance)
+    return _propagate_covariance(lambda p: np.concatenate((p[:2], _semi_axes(moment_matrix(p[2:])))), at, covariance)
 
 
-def phased_axes(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def axes_from_vectors(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Centre, major axis, minor axis and covariance from (x, y, ax, ay, bx, by) with phase.
 
     The minor axis of a straight motion has no derivative; its deviation is taken from the vectors themselves.
     """
 
     def axes(p: FloatArray) -> FloatArray:
-        return np.concatenate((p[:2], _axes(np.outer(p[2:4], p[2:4]) + np.outer(p[4:], p[4:]))))
+        return np.concatenate((p[:2], _semi_axes(np.outer(p[2:4], p[2:4]) + np.outer(p[4:], p[4:]))))
 
-    value, cov = _through(axes, at, covariance)
+    value, cov = _propagate_covariance(axes, at, covariance)
     return value[:2], value[2:4], value[4:], cov

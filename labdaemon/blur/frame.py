@@ -6,24 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.law import DisplacementLaw
 from labdaemon.blur.measure import measure
-from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, starts_for
+from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, match_guesses
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.sharp.texture import Texture
-from labdaemon.blur.smear.defocus import blur_of_targets
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
+from labdaemon.blur.smear.defocus import estimate_target_defocus
+from labdaemon.blur.waveform import MotionWaveform
 
 
 def measure_frame(
     sharps: Sequence[SharpTarget],
     patches: Sequence[Patch],
     *,
-    window: Window | None = None,
-    extra_blur: ExtraBlur | None = None,
-    starts: Sequence[Start | None] | None = None,
+    window: ExposureWindow | None = None,
+    defocus: Defocus | None = None,
+    initial_guesses: Sequence[InitialGuess | None] | None = None,
     orbit: bool = True,
-    law: DisplacementLaw | None = None,
+    waveform: MotionWaveform | None = None,
     camera_shift_px: FloatArray | None = None,
 ) -> list[Measurement]:
     """Measure the targets of one frame.
@@ -32,12 +32,12 @@ def measure_frame(
     ----------
     sharps, patches
         Target and its part of the blurred frame, one by one.
-    extra_blur
-        From `frame_blur` over the control targets. None estimates it from the targets themselves, in a first pass in
-        which each dot has its own.
-    starts
+    defocus
+        From `estimate_frame_defocus` over the control targets. None estimates it from the targets themselves, in a
+        first pass in which each dot has its own.
+    initial_guesses
         One a target, or none.
-    window, orbit, law, camera_shift_px
+    window, orbit, waveform, camera_shift_px
         As for `measure`.
 
     Returns
@@ -50,30 +50,30 @@ def measure_frame(
     UsageError
         Sequences of different lengths.
     """
-    begin = starts_for(sharps, patches, starts)
+    guesses = match_guesses(sharps, patches, initial_guesses)
 
-    def one(index: int, blur: ExtraBlur | None, *, curved: bool) -> Measurement:
+    def one(index: int, blur: Defocus | None, *, curved: bool) -> Measurement:
         return measure(
             sharps[index],
             patches[index],
             window=window,
-            extra_blur=blur,
-            start=begin[index],
+            defocus=blur,
+            initial_guess=guesses[index],
             orbit=curved,
-            law=law,
+            waveform=waveform,
             camera_shift_px=camera_shift_px,
         )
 
-    dots = [index for index, sharp in enumerate(sharps) if not isinstance(sharp.form, Texture)]
-    shared = extra_blur
-    if extra_blur is None:
+    dots = [index for index, sharp in enumerate(sharps) if not isinstance(sharp.form, TexturedPatch)]
+    shared = defocus
+    if defocus is None:
         # Straight paths: across its path a straight motion leaves the defocus alone to be seen.
-        shared = blur_of_targets([one(index, None, curved=False) for index in dots])
+        shared = estimate_target_defocus([one(index, None, curved=False) for index in dots])
     is_dot = set(dots)
-    return [one(index, shared if index in is_dot else extra_blur, curved=orbit) for index in range(len(sharps))]
+    return [one(index, shared if index in is_dot else defocus, curved=orbit) for index in range(len(sharps))]
 
 
-def displacement(sharp: SharpTarget, later: SharpTarget) -> tuple[FloatArray, FloatArray]:
+def measure_displacement(sharp: SharpTarget, later: SharpTarget) -> tuple[FloatArray, FloatArray]:
     """Static displacement of a target between two sharp sets.
 
     Returns

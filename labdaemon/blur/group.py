@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.measure import WHOLE, measure
-from labdaemon.blur.motion import ExtraBlur, Measurement, Start, Window, nothing
+from labdaemon.blur.measure import WHOLE_CYCLE_TOLERANCE, measure
+from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
-from labdaemon.blur.phase.known_window import unphased
-from labdaemon.blur.phase.steady import Steady, fit_steady
+from labdaemon.blur.phase.harmonic_fit import HarmonicFit, fit_harmonic
+from labdaemon.blur.phase.known_window import drop_phase
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.smear.defocus import default_blur
-from labdaemon.blur.smear.honesty import reach_flags
-from labdaemon.blur.smear.model import Setting, prepare
-from labdaemon.blur.smear.windowed import FRAME, Exposures
+from labdaemon.blur.smear.defocus import default_defocus
+from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
+from labdaemon.blur.smear.uncertainty import quality_flags
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -23,10 +23,10 @@ from labdaemon.flags import Flag
 def measure_group(
     sharp: SharpTarget,
     patches: Sequence[Patch],
-    windows: Sequence[Window],
+    windows: Sequence[ExposureWindow],
     *,
-    extra_blur: Sequence[ExtraBlur] | ExtraBlur | None = None,
-    starts: Sequence[Start] | None = None,
+    defocus: Sequence[Defocus] | Defocus | None = None,
+    initial_guesses: Sequence[InitialGuess] | None = None,
 ) -> Measurement:
     """Measure one steady motion from several frames opened at known phases.
 
@@ -39,9 +39,9 @@ def measure_group(
         The target at rest.
     patches, windows
         One a frame; every window with its phase.
-    extra_blur
+    defocus
         Of each frame, or one for all.
-    starts
+    initial_guesses
         Expected place in each frame.
 
     Returns
@@ -57,42 +57,42 @@ def measure_group(
         Not one window a patch, or a window without phase.
     """
     count = len(patches)
-    if count == 0 or len(windows) != count or (starts is not None and len(starts) != count):
+    if count == 0 or len(windows) != count or (initial_guesses is not None and len(initial_guesses) != count):
         raise UsageError("a group needs one window (and one start, if any) for each frame")
     if any(window.phase_rad is None for window in windows):
         raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
     if not sharp.usable:
-        return nothing(sharp.name, {Flag.NOT_FOUND})
-    if all(abs(window.cycles - round(window.cycles)) < WHOLE for window in windows):
-        return _without_phase(sharp, patches, windows, extra_blur, starts)
-    blurs = [extra_blur or default_blur(sharp)] * count if not isinstance(extra_blur, Sequence) else list(extra_blur)
-    settings: list[Setting] = []
+        return empty_measurement(sharp.name, {Flag.NOT_FOUND})
+    if all(abs(window.cycles - round(window.cycles)) < WHOLE_CYCLE_TOLERANCE for window in windows):
+        return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses)
+    blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
+    problems: list[FitProblem] = []
     for index, patch in enumerate(patches):
-        expected = starts[index].centre_px if starts is not None else sharp.centre_px
-        setting = prepare(sharp, patch, np.asarray(expected, dtype=np.float64))
-        if setting is None:
-            return nothing(sharp.name, {Flag.NOT_FOUND})
-        settings.append(setting)
-    there = np.mean([setting.start_px for setting in settings], axis=0)
-    exposures = Exposures.of(sharp.elsewhere(there), settings, windows, blurs)
-    return _report(exposures, fit_steady(exposures))
+        expected = initial_guesses[index].centre_px if initial_guesses is not None else sharp.centre_px
+        problem = prepare_fit(sharp, patch, np.asarray(expected, dtype=np.float64))
+        if problem is None:
+            return empty_measurement(sharp.name, {Flag.NOT_FOUND})
+        problems.append(problem)
+    there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
+    frame_set = FrameSet.from_problems(sharp.with_scale_uncertainty(there), problems, windows, blurs)
+    return _group_measurement(frame_set, fit_harmonic(frame_set))
 
 
-def _without_phase(
+def _average_whole_cycles(
     sharp: SharpTarget,
     patches: Sequence[Patch],
-    windows: Sequence[Window],
-    extra_blur: Sequence[ExtraBlur] | ExtraBlur | None,
-    starts: Sequence[Start] | None,
+    windows: Sequence[ExposureWindow],
+    defocus: Sequence[Defocus] | Defocus | None,
+    initial_guesses: Sequence[InitialGuess] | None,
 ) -> Measurement:
-    """Whole cycles look the same from whatever phase they are opened at: the frames' mean, unphased."""
+    """Whole cycles look the same from whatever phase they are opened at: the frames' mean, drop_phase."""
     single = [
         measure(
             sharp,
             patch,
             window=windows[index],
-            extra_blur=extra_blur[index] if isinstance(extra_blur, Sequence) else extra_blur,
-            start=None if starts is None else starts[index],
+            defocus=defocus[index] if isinstance(defocus, Sequence) else defocus,
+            initial_guess=None if initial_guesses is None else initial_guesses[index],
         )
         for index, patch in enumerate(patches)
     ]
@@ -113,20 +113,20 @@ def _without_phase(
     flags = {flag for one in single for flag in one.flags}
     if not all(Flag.AT_REST in one.flags for one in single):
         flags.discard(Flag.AT_REST)
-    blur = float(weight @ np.array([one.extra_blur_px2 for one in seen]))
+    blur = float(weight @ np.array([one.defocus_px2 for one in seen]))
     chi2 = float(weight @ np.array([one.chi2 for one in seen]))
     return Measurement(sharp.name, value[:2], value[2:4], value[4:], covariance, False, frozenset(flags), blur, chi2)
 
 
-def _report(exposures: Exposures, found: Steady) -> Measurement:
-    sharp, best, value, cov = exposures.sharp, found.solution, found.value, found.covariance
-    flags = set(reach_flags(sharp, best, value[2:4], value[4:6]))
+def _group_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
+    sharp, best, value, cov = frame_set.sharp, found.solution, found.value, found.covariance
+    flags = set(quality_flags(sharp, best, value[2:4], value[4:6]))
     if found.at_rest:
         flags.add(Flag.AT_REST)
-    elif found.rival:
+    elif found.ambiguous:
         flags.add(Flag.AMBIGUOUS)
-    blur = float(np.mean(best.p[2 : FRAME * len(exposures.settings) : FRAME]))
-    axes = unphased(sharp, found) if found.is_loose else None
+    blur = float(np.mean(best.p[2 : FRAME_PARAMETERS * len(frame_set.problems) : FRAME_PARAMETERS]))
+    axes = drop_phase(sharp, found) if found.phase_unresolved else None
     return Measurement(
         sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
     )

@@ -19,7 +19,7 @@ from labdaemon.flags import Flag
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class ExposureWindow:
     """When the shutter was open, in terms of the excitation.
 
     Attributes
@@ -62,7 +62,7 @@ class Measurement:
         True when a and b carry the excitation's phase (signed), False for an orbit's axes.
     flags
         Statements about it, see `Flag`.
-    extra_blur_px2
+    defocus_px2
         Isotropic extra variance against the sharp frame (defocus), px², as used.
     chi2
         Mean squared normalised residual; 1 when the model holds.
@@ -77,7 +77,7 @@ class Measurement:
     covariance_px2: FloatArray
     phased: bool = False
     flags: frozenset[Flag] = field(default_factory=frozenset)
-    extra_blur_px2: float = 0.0
+    defocus_px2: float = 0.0
     chi2: float = 1.0
     axes: Measurement | None = None
 
@@ -103,25 +103,25 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class ExtraBlur:
+class Defocus:
     """Isotropic extra blur of a frame against the sharp one (defocus, shake), as its control targets tell it.
 
     Attributes
     ----------
     mean_px2, sd_px2
         Variance and its standard deviation, px². The mean may be negative (the sharp frame was the less sharp one).
-    one_sided_px2
+    anisotropy_px2
         How far it may be from the same in all directions. Without control targets nobody knows, and motion of which the
         square is not well above this cannot be told from rest.
     """
 
     mean_px2: float = 0.0
     sd_px2: float = 0.1
-    one_sided_px2: float = 0.0
+    anisotropy_px2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class InitialGuess:
     """Where to begin looking.
 
     Attributes
@@ -138,7 +138,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StillMeasurement:
+class StaticMeasurement:
     """How a thing that does not move looks shifted and blurred against the sharp frame: the camera's doing.
 
     Attributes
@@ -149,7 +149,7 @@ class StillMeasurement:
         (2,) where it was in the sharp frame.
     shift_px
         (2,) shift against the sharp frame.
-    extra_blur_px2
+    defocus_px2
         Isotropic extra variance.
     covariance_px2
         (3, 3) covariance of (shift x, shift y, extra variance).
@@ -162,15 +162,15 @@ class StillMeasurement:
     target: str
     centre_px: FloatArray
     shift_px: FloatArray
-    extra_blur_px2: float
+    defocus_px2: float
     covariance_px2: FloatArray
     flags: frozenset[Flag] = field(default_factory=frozenset)
     chi2: float = 1.0
 
 
-def starts_for(
-    sharps: Sequence[object], patches: Sequence[object], starts: Sequence[Start | None] | None
-) -> Sequence[Start | None]:
+def match_guesses(
+    sharps: Sequence[object], patches: Sequence[object], initial_guesses: Sequence[InitialGuess | None] | None
+) -> Sequence[InitialGuess | None]:
     """One start a target, None where none was given.
 
     Raises
@@ -178,12 +178,12 @@ def starts_for(
     UsageError
         Not one patch, and one start if any, for each target.
     """
-    if len(sharps) != len(patches) or (starts is not None and len(starts) != len(sharps)):
+    if len(sharps) != len(patches) or (initial_guesses is not None and len(initial_guesses) != len(sharps)):
         raise UsageError("give one patch (and one start, if any) for each sharp target")
-    return starts if starts is not None else [None] * len(sharps)
+    return initial_guesses if initial_guesses is not None else [None] * len(sharps)
 
 
-def nothing(target: str, flags: set[Flag]) -> Measurement:
+def empty_measurement(target: str, flags: set[Flag]) -> Measurement:
     """A measurement without numbers."""
     nan = np.full(2, np.nan)
     return Measurement(target, nan, nan, nan, np.full((6, 6), np.nan), flags=frozenset(flags), chi2=float("nan"))

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from labdaemon.blur.motion import Window
+from labdaemon.blur.motion import ExposureWindow
 from labdaemon.cli.parts import Parts, print_notes
 from labdaemon.errors import UsageError
 from labdaemon.processing.frame import measure_frames
@@ -93,13 +93,13 @@ def measure(
     print_notes(console, notes)
 
 
-def _window(frequency: float | None, exposure: float | None, phase: float | None) -> Window | None:
+def _window(frequency: float | None, exposure: float | None, phase: float | None) -> ExposureWindow | None:
     if frequency is None and exposure is None and phase is None:
         return None
     if frequency is None or exposure is None:
         missing = "--frequency" if frequency is None else "--exposure"
         raise UsageError(f"{missing} is missing: an exposure is known by frequency and exposure time together")
-    return Window(frequency, exposure, phase)
+    return ExposureWindow(frequency, exposure, phase)
 
 
 def _summary(rows: list[Row], console: Console, out: Path | None) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.ellipse import Ellipse, from_moments
+from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments
 from labdaemon.imaging.frame import Grey
 
 REDUCED_RANGE_PX = (5.0, 26.0)
@@ -90,7 +90,7 @@ def _compact(dark: NDArray[Any], extent: tuple[float, float], factor: int) -> li
         if not 0.85 <= fullness <= 1.1:
             continue
         middle = (factor - 1) / 2.0
-        blob = from_moments(
+        blob = ellipse_from_moments(
             (x[k] + cx) * factor + middle, (y[k] + cy) * factor + middle, *(m * factor**2 for m in (xx, xy, yy))
         )
         if blob is not None and blob.semi_minor_px >= MIN_AXIS_RATIO * blob.semi_major_px:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
+from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, make_textured_patch
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.geometry.lens import Lens
@@ -126,7 +126,7 @@ def find_control(
         if box is None:
             continue
         cuts = [_rimmed(each, box) for each in frames]
-        target = fit_sharp(one.dot, cuts) if one.dot is not None else sharp_texture(cuts, box, name=one.name)
+        target = fit_sharp(one.dot, cuts) if one.dot is not None else make_textured_patch(cuts, box, name=one.name)
         kept.append(one)
         sharp.append(target)
         thumbnails.append(Thumbnail.cut(grey, box))

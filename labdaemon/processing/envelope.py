@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labdaemon.blur.motion import Measurement
-from labdaemon.blur.phase.signs import stated
+from labdaemon.blur.phase.signs import decide_sign
 from labdaemon.flags import Flag
 from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
@@ -117,7 +117,7 @@ def join_frames(
         for index, measurement in enumerate(frame.measurements):
             by_target[measurement.target][frame.camera] = measurement
             evidence[measurement.target][frame.camera] = frame.evidence_of(index)
-            rows.append(measurement_row(name, frame.camera, measurement, stated(frame.evidence_of(index))))
+            rows.append(measurement_row(name, frame.camera, measurement, decide_sign(frame.evidence_of(index))))
     views = _views(sharp, frames)
     if sharp.plane is not None:
         joined = _on_plane(sharp, frames[0], by_target)
@@ -190,8 +190,8 @@ def _sign(
     for camera, one in _trusted(seen).items():
         a_px = views[camera].project_with_jacobians(motion.mean_mm[None])[1][0] @ motion.a_mm
         turned.append(evidence.get(camera, 0.0) * float(np.sign(a_px @ one.a_px)))
-    signs = {stated(one) for one in turned} - {0}
-    return 0 if len(signs) > 1 else stated(sum(turned))
+    signs = {decide_sign(one) for one in turned} - {0}
+    return 0 if len(signs) > 1 else decide_sign(sum(turned))
 
 
 def _image_motion(measurement: Measurement) -> ImageMotion:

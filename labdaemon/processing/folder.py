@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from labdaemon.blur.motion import Window
+from labdaemon.blur.motion import ExposureWindow
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_misspelt
@@ -47,14 +47,14 @@ class CaptureFile(BaseModel):
     sharp: str | None = None
     cameras: dict[str, CameraOpening] = {}
 
-    def window(self, camera: str) -> Window | None:
+    def window(self, camera: str) -> ExposureWindow | None:
         """The exposure as this camera saw it; None unless frequency and exposure are both known."""
         own = self.cameras.get(camera, CameraOpening())
         exposure_s = own.exposure_s if own.exposure_s is not None else self.exposure_s
         if self.frequency_hz is None or exposure_s is None:
             return None
         phase_rad = own.phase_rad if own.phase_rad is not None else self.phase_rad
-        return Window(self.frequency_hz, exposure_s, phase_rad, self.sd_phase_rad, self.sd_exposure_s)
+        return ExposureWindow(self.frequency_hz, exposure_s, phase_rad, self.sd_phase_rad, self.sd_exposure_s)
 
 
 @dataclass(frozen=True, slots=True)

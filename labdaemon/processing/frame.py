@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from labdaemon.blur import (
+    ExposureWindow,
+    InitialGuess,
     Measurement,
     Patch,
     SharpTarget,
-    Start,
-    Window,
+    find_relative_signs,
     measure_frame,
     measure_group,
-    relative_signs,
 )
-from labdaemon.blur.fit.cover import why_nothing
-from labdaemon.blur.published.method import measure_paper
+from labdaemon.blur.fit.refit import failure_flags
+from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
@@ -65,7 +65,8 @@ class FrameResult:
         How the camera stood in each frame; empty without a survey.
     evidence
         For each target, twice the logarithm of the odds that it stood on the side of +a and not of −a at the middle of
-        the exposure, by the phase that it shares with the others (`relative_signs`); empty for whole cycles and groups.
+        the exposure, by the phase that it shares with the others (`find_relative_signs`); empty for whole cycles and
+        groups.
     notes
         What a person should know of the files, one line each.
     """
@@ -94,7 +95,7 @@ class _Look:
 def measure_frames(
     camera: PreparedCamera,
     files: Sequence[Path],
-    windows: Sequence[Window | None],
+    windows: Sequence[ExposureWindow | None],
     *,
     control: Sequence[ControlPoint] = (),
     method: str = "fit",
@@ -126,7 +127,7 @@ def measure_frames(
 def measure_raw(
     camera: PreparedCamera,
     frames: Sequence[RawFrame],
-    windows: Sequence[Window | None],
+    windows: Sequence[ExposureWindow | None],
     *,
     control: Sequence[ControlPoint] = (),
     method: str = "fit",
@@ -211,7 +212,7 @@ def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
     return frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1)
 
 
-def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> list[Measurement]:
+def _measure_one(camera: PreparedCamera, look: _Look, window: ExposureWindow | None) -> list[Measurement]:
     # Axes do not depend on the opening phase: where it is unknown, any will do.
     unknown = window is not None and window.phase_rad is None and is_part(window)
     if unknown and window is not None:
@@ -219,7 +220,7 @@ def _measure_one(camera: PreparedCamera, look: _Look, window: Window | None) -> 
 
     def measured(smears: list[Smear | None]) -> dict[int, Measurement]:
         found, targets, cuts, starts = _found(camera, replace(look, smears=smears))
-        each = measure_frame(targets, cuts, window=window, extra_blur=look.shift.extra_blur, starts=starts)
+        each = measure_frame(targets, cuts, window=window, defocus=look.shift.defocus, initial_guesses=starts)
         return dict(zip(found, each, strict=True))
 
     result = [
@@ -243,26 +244,26 @@ def _unseen(look: _Look, target: SharpTarget) -> Measurement:
     lost = nothing(target)
     at = target.centre_px + look.shift.at(target.centre_px[None])[0]
     (x, y), (w, h) = (round(float(v)) for v in at), (round(v) for v in target.form.half_size_px)
-    white = why_nothing(target, look.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1), at) & {Flag.SATURATED}
+    white = failure_flags(target, look.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1), at) & {Flag.SATURATED}
     return replace(lost, flags=lost.flags | white)
 
 
-def _found(camera: PreparedCamera, look: _Look) -> tuple[list[int], list[SharpTarget], list[Patch], list[Start]]:
+def _found(camera: PreparedCamera, look: _Look) -> tuple[list[int], list[SharpTarget], list[Patch], list[InitialGuess]]:
     """The targets that are in a frame: their places in the list, themselves, their smears and where to begin."""
     seen = [(index, smear) for index, smear in enumerate(look.smears) if smear is not None]
     targets = [camera.targets[index] for index, _ in seen]
     cuts = [_cut(look.frame, target, smear) for target, (_, smear) in zip(targets, seen, strict=True)]
-    return [index for index, _ in seen], targets, cuts, [Start(s.centre_px, s.a_px, s.b_px) for _, s in seen]
+    return [index for index, _ in seen], targets, cuts, [InitialGuess(s.centre_px, s.a_px, s.b_px) for _, s in seen]
 
 
 def _evidence(
-    camera: PreparedCamera, look: _Look, window: Window | None, measured: Sequence[Measurement]
+    camera: PreparedCamera, look: _Look, window: ExposureWindow | None, measured: Sequence[Measurement]
 ) -> tuple[float, ...]:
     """Evidence for the sign of each target's a; 0 where there is none."""
     if window is None or not is_part(window):
         return ()
     found, targets, cuts, starts = _found(camera, look)
-    signs = relative_signs(targets, cuts, window, extra_blur=look.shift.extra_blur, starts=starts)
+    signs = find_relative_signs(targets, cuts, window, defocus=look.shift.defocus, initial_guesses=starts)
     evidence = np.zeros(len(camera.targets))
     for index, vector, one, sign in zip(found, signs.vector_px, signs.evidence, signs.sign, strict=True):
         a = measured[index].a_px
@@ -272,7 +273,7 @@ def _evidence(
 
 
 def _measure_together(
-    camera: PreparedCamera, looks: Sequence[_Look], windows: Sequence[Window | None]
+    camera: PreparedCamera, looks: Sequence[_Look], windows: Sequence[ExposureWindow | None]
 ) -> list[Measurement]:
     """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean."""
     phased = [window for window in windows if window is not None and holds_phase(window)]
@@ -282,19 +283,23 @@ def _measure_together(
     return [mean_of(measured) for measured in zip(*each, strict=True)]
 
 
-def _measure_phased(target: SharpTarget, looks: Sequence[_Look], windows: Sequence[Window], index: int) -> Measurement:
+def _measure_phased(
+    target: SharpTarget, looks: Sequence[_Look], windows: Sequence[ExposureWindow], index: int
+) -> Measurement:
     cuts, starts, blurs, seen = [], [], [], []
     for look, window in zip(looks, windows, strict=True):
         smear = look.smears[index]
         if smear is not None:
             cuts.append(_cut(look.frame, target, smear))
-            starts.append(Start(smear.centre_px, smear.a_px, smear.b_px))
-            blurs.append(look.shift.extra_blur)
+            starts.append(InitialGuess(smear.centre_px, smear.a_px, smear.b_px))
+            blurs.append(look.shift.defocus)
             seen.append(window)
     if not cuts:
         return nothing(target)
     known = [blur for blur in blurs if blur is not None]
-    return measure_group(target, cuts, seen, extra_blur=known if len(known) == len(blurs) else None, starts=starts)
+    return measure_group(
+        target, cuts, seen, defocus=known if len(known) == len(blurs) else None, initial_guesses=starts
+    )
 
 
 def _by_paper(camera: PreparedCamera, looks: Sequence[_Look]) -> list[Measurement]:
@@ -310,5 +315,5 @@ def _by_paper(camera: PreparedCamera, looks: Sequence[_Look]) -> list[Measuremen
             continue
         blurred = _cut(looks[0].frame, target, smear)
         named = replace(dot, name=target.name)
-        found.append(measure_paper(sharp, named, blurred, start_px=smear.centre_px))
+        found.append(measure_mccarthy2016(sharp, named, blurred, start_px=smear.centre_px))
     return found

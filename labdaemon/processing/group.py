@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur import Measurement, Window
+from labdaemon.blur import ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.flags import Flag
 
@@ -16,12 +16,12 @@ FLOOR_PX2 = 1e-6
 """Keeps a covariance that is singular (a straight path's) invertible."""
 
 
-def is_part(window: Window) -> bool:
+def is_part(window: ExposureWindow) -> bool:
     """Whether an exposure is no whole number of cycles."""
     return abs(window.cycles - round(window.cycles)) > PART
 
 
-def holds_phase(window: Window) -> bool:
+def holds_phase(window: ExposureWindow) -> bool:
     """Whether an exposure shows which way a point moved: its phase is known and its cycles are not whole."""
     return window.phase_rad is not None and is_part(window)
 
@@ -63,6 +63,6 @@ def mean_of(measured: Sequence[Measurement]) -> Measurement:
         mean[4:],
         covariance,
         flags=frozenset(flags),
-        extra_blur_px2=float(np.mean([one.extra_blur_px2 for one in usable])),
+        defocus_px2=float(np.mean([one.defocus_px2 for one in usable])),
         chi2=float(np.mean([one.chi2 for one in usable])),
     )

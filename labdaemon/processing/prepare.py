@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, sharp_texture
+from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, make_textured_patch
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.sharp.papermap import REACH_PX
+from labdaemon.blur.sharp.texture_map import MAX_RADIUS_PX
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
@@ -234,7 +234,7 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
         reach = max(16, min(64, max(w, h) // 2))
         x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
         cuts = [f.patch(x0, y0, x1 - x0, y1 - y0) for f in frames]
-        targets.append(sharp_texture(cuts, (x, y, w, h), name=f"P{number:02d}"))
+        targets.append(make_textured_patch(cuts, (x, y, w, h), name=f"P{number:02d}"))
     grey = frame.grey()
     thumbnails = tuple(Thumbnail.cut(grey, box) for box in boxes)
     return PreparedCamera(
@@ -284,7 +284,7 @@ def _sizes(view: View, survey: CameraSurvey) -> tuple[float, float]:
 
 def _around(dot: Dot, frame: RawFrame) -> Patch:
     """The part of a frame that holds a dot and its paper."""
-    half = int(np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + REACH_PX))))
+    half = int(np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + MAX_RADIUS_PX))))
     return frame.patch(round(dot.x_px) - half, round(dot.y_px) - half, 2 * half + 1, 2 * half + 1)
 
 

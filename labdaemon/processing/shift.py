@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur import ExtraBlur, Patch, Start, StillMeasurement, frame_blur, measure_still
+from labdaemon.blur import Defocus, InitialGuess, Patch, StaticMeasurement, estimate_frame_defocus, measure_static
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.imaging.frame import RawFrame
@@ -36,15 +36,15 @@ class FrameShift:
         Those that were measured.
     shift_px, middle_px, turn_rad
         A point p moved by `shift_px` + `turn_rad` × (p − `middle_px`).
-    extra_blur
+    defocus
         Isotropic extra blur; None where no control target tells.
     """
 
-    stills: tuple[StillMeasurement, ...]
+    stills: tuple[StaticMeasurement, ...]
     shift_px: FloatArray
     middle_px: FloatArray
     turn_rad: float
-    extra_blur: ExtraBlur | None
+    defocus: Defocus | None
 
     def at(self, points_px: FloatArray) -> FloatArray:
         """(n, 2) shift of (n, 2) points of the sharp frame."""
@@ -74,8 +74,10 @@ def frame_shift(frame: RawFrame, grey: Look, control: ControlTargets) -> FrameSh
     for target, start in zip(control.sharp, starts, strict=True):
         if start is None:
             continue
-        still = measure_still(target, _around(frame, target.form.half_size_px, start), start=Start(start))
-        if np.isfinite(still.covariance_px2).all() and np.isfinite([*still.shift_px, still.extra_blur_px2]).all():
+        still = measure_static(
+            target, _around(frame, target.form.half_size_px, start), initial_guess=InitialGuess(start)
+        )
+        if np.isfinite(still.covariance_px2).all() and np.isfinite([*still.shift_px, still.defocus_px2]).all():
             stills.append(still)
     if not stills:
         return UNKNOWN
@@ -102,7 +104,7 @@ def _starts(frame: RawFrame, grey: Look, control: ControlTargets) -> list[FloatA
     ]
 
 
-def _fit(stills: Sequence[StillMeasurement], size: tuple[int, int]) -> FrameShift:
+def _fit(stills: Sequence[StaticMeasurement], size: tuple[int, int]) -> FrameShift:
     """Shift and turn by robust least squares, the turn held near zero where targets are few."""
     centres = np.array([still.centre_px for still in stills])
     shifts = np.array([still.shift_px for still in stills])
@@ -122,7 +124,7 @@ def _fit(stills: Sequence[StillMeasurement], size: tuple[int, int]) -> FrameShif
         normal = np.einsum("n,nij,nik->jk", w, design, design) + prior
         p = np.linalg.solve(normal, np.einsum("n,nij,ni->j", w, design, shifts))
     try:
-        blur = frame_blur(stills)
+        blur = estimate_frame_defocus(stills)
     except DataError:
         blur = None
     if blur is not None:

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from labdaemon.blur import Dot, ExtraBlur, Window, fit_sharp, measure_group
-from labdaemon.blur.phase.mirror import mirrored
+from labdaemon.blur import Defocus, Dot, ExposureWindow, fit_sharp, measure_group
+from labdaemon.blur.phase.time_reversal import reverse_time
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
-STILL = ExtraBlur(0.0, 0.01)
+STILL = Defocus(0.0, 0.01)
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +29,8 @@ def frames(area, motion, cycles, phases, drift=0.1):
 @pytest.mark.parametrize("motion", [(3.0, 1.0, 0.0, 0.0), (2.0, -0.5, -2.0, 0.5), (-2.5, 0.6, 1.2, 1.8)])
 def test_two_phases_a_quarter_apart_give_signed_vectors_whatever_the_drift(area, sharp, motion):
     phases = (0.4, 0.4 + np.pi / 2)
-    windows = [Window(5.5, 1.0, p, 0.005, 0.0002) for p in phases]
-    found = measure_group(sharp, frames(area, motion, 5.5, phases), windows, extra_blur=STILL)
+    windows = [ExposureWindow(5.5, 1.0, p, 0.005, 0.0002) for p in phases]
+    found = measure_group(sharp, frames(area, motion, 5.5, phases), windows, defocus=STILL)
     truth = np.array(motion)
     got = np.concatenate((found.a_px, found.b_px))
     sd = np.sqrt(np.diag(found.covariance_px2)[2:])
@@ -45,7 +45,7 @@ def test_timing_uncertainty_is_in_the_covariance(area, sharp):
     phases = (0.4, 0.4 + np.pi / 2)
     pictures = frames(area, (4.0, 0.0, 0.0, 0.0), 5.5, phases)
     exact, loose = (
-        measure_group(sharp, pictures, [Window(5.5, 1.0, p, sd) for p in phases], extra_blur=STILL)
+        measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p, sd) for p in phases], defocus=STILL)
         for sd in (0.0, 0.05)
     )
     # both openings off alike turn the phase by as much: 4 px · 0.05 rad / sqrt 2 at least
@@ -55,7 +55,7 @@ def test_timing_uncertainty_is_in_the_covariance(area, sharp):
 def test_whole_cycles_hold_no_phase_and_are_averaged(area, sharp):
     phases = (0.4, 0.4 + np.pi / 2)
     pictures = frames(area, (3.0, 0.5, 0.0, 0.0), 5.0, phases)
-    found = measure_group(sharp, pictures, [Window(5.0, 1.0, p) for p in phases], extra_blur=STILL)
+    found = measure_group(sharp, pictures, [ExposureWindow(5.0, 1.0, p) for p in phases], defocus=STILL)
     assert not found.phased
     assert not found.flags
     assert np.hypot(*(found.a_px - (3.0, 0.5))) < 0.03
@@ -68,7 +68,7 @@ def test_motion_too_small_for_its_phase_is_unflagged_and_says_how_little_is_know
         area.render(scene, (64, 66), (33, 31), area.part_cycles(*motion, 5.5, p), seed=10 * seed + i, samples=440)
         for i, p in enumerate(phases)
     ]
-    found = measure_group(sharp, pictures, [Window(5.5, 1.0, p) for p in phases], extra_blur=STILL)
+    found = measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL)
     assert not found.flags
     got, sd = np.concatenate((found.a_px, found.b_px)), np.sqrt(np.diag(found.covariance_px2)[2:])
     assert np.all(np.abs(got - motion) < 3 * sd)
@@ -87,7 +87,7 @@ def test_a_small_orbit_is_unflagged_within_its_deviations(area, sharp, seed):
         area.render(scene, (64, 66), (33, 31), area.part_cycles(*motion, 5.5, p), seed=10 * seed + i, samples=440)
         for i, p in enumerate(phases)
     ]
-    found = measure_group(sharp, pictures, [Window(5.5, 1.0, p) for p in phases], extra_blur=STILL)
+    found = measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL)
     assert not found.flags
     got, sd = np.concatenate((found.a_px, found.b_px)), np.sqrt(np.diag(found.covariance_px2)[2:])
     assert np.all(np.abs(got - motion) < 4 * sd + 0.02)
@@ -97,7 +97,7 @@ def test_a_small_orbit_is_unflagged_within_its_deviations(area, sharp, seed):
 
 def test_a_single_frame_of_a_group_has_a_mirror_image(area, sharp):
     found = measure_group(
-        sharp, frames(area, (3.0, 1.0, 0.0, 0.0), 5.5, (0.9,)), [Window(5.5, 1.0, 0.9)], extra_blur=STILL
+        sharp, frames(area, (3.0, 1.0, 0.0, 0.0), 5.5, (0.9,)), [ExposureWindow(5.5, 1.0, 0.9)], defocus=STILL
     )
     assert Flag.AMBIGUOUS in found.flags
     assert abs(np.linalg.norm([*found.a_px, *found.b_px]) - np.sqrt(10)) < 0.05
@@ -106,7 +106,7 @@ def test_a_single_frame_of_a_group_has_a_mirror_image(area, sharp):
 def test_a_group_needs_its_phases(area, sharp):
     pictures = frames(area, (3.0, 0.5, 0.0, 0.0), 5.5, (0.1,))
     with pytest.raises(UsageError, match="phase"):
-        measure_group(sharp, pictures, [Window(5.5, 1.0)])
+        measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0)])
     with pytest.raises(UsageError, match="window"):
         measure_group(sharp, pictures, [])
 
@@ -115,9 +115,9 @@ def test_a_group_needs_its_phases(area, sharp):
 def test_a_phase_that_shows_less_than_its_circle_is_straight_keeps_its_axis_apart(area, sharp, size, bent):
     """Cameras are joined by the axis then: two tangents of one circle would cross where neither phase is."""
     phases = (0.4, 0.4 + np.pi / 2)
-    windows = [Window(5.5, 1.0, p) for p in phases]
+    windows = [ExposureWindow(5.5, 1.0, p) for p in phases]
     pictures = frames(area, (size, 0.3 * size, 0.5 * size, 0.15 * size), 5.5, phases)
-    found = measure_group(sharp, pictures, windows, extra_blur=STILL)
+    found = measure_group(sharp, pictures, windows, defocus=STILL)
     assert found.phased
     assert (found.axes is not None) == bent
 
@@ -127,18 +127,18 @@ def test_a_phase_that_shows_less_than_its_circle_is_straight_keeps_its_axis_apar
 def test_frames_that_see_the_same_part_of_the_cycle_have_a_mirror_image(area, sharp, motion, apart):
     phases = (0.9, 0.9 + apart)
     found = measure_group(
-        sharp, frames(area, motion, 5.5, phases), [Window(5.5, 1.0, p) for p in phases], extra_blur=STILL
+        sharp, frames(area, motion, 5.5, phases), [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL
     )
     assert Flag.AMBIGUOUS in found.flags
     got = np.concatenate((found.a_px, found.b_px))
     middle = 0.9 + 5.5 * np.pi
-    images = [np.array(motion), np.concatenate(mirrored(np.array(motion[:2]), np.array(motion[2:]), middle))]
+    images = [np.array(motion), np.concatenate(reverse_time(np.array(motion[:2]), np.array(motion[2:]), middle))]
     assert min(np.abs(got - one).max() for one in images) < 0.3
 
 
 def test_a_mirror_image_is_the_same_picture_from_the_middle_on():
     a, b, middle = np.array([6.0, 1.5]), np.array([-4.0, 2.0]), 0.7
-    images = mirrored(a, b, middle)
+    images = reverse_time(a, b, middle)
     for away in (0.3, 1.1):
         before = a * np.sin(middle - away) + b * np.cos(middle - away)
         after = images[0] * np.sin(middle + away) + images[1] * np.cos(middle + away)

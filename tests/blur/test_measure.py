@@ -10,18 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.blur import (
-    DisplacementLaw,
+    Defocus,
     Dot,
-    ExtraBlur,
-    Start,
-    Window,
+    ExposureWindow,
+    InitialGuess,
+    MotionWaveform,
     fit_sharp,
     measure,
     measure_frame,
 )
 from labdaemon.flags import Flag
 
-STILL = ExtraBlur(0.0, 0.01)
+STILL = Defocus(0.0, 0.01)
 
 
 def sharp_of(area, scene, seed=1, noise=True):
@@ -62,7 +62,7 @@ def test_amplitude_and_direction_are_within_their_deviations(area, size):
     sharp, _ = sharp_of(area, scene)
     truth = size * np.array([np.cos(0.4), np.sin(0.4)])
     patch, centre = blurred_of(area, scene, truth)
-    found = measure(sharp, patch, extra_blur=STILL, start=Start(np.add(centre, (2.5, -2.0))))
+    found = measure(sharp, patch, defocus=STILL, initial_guess=InitialGuess(np.add(centre, (2.5, -2.0))))
     sd = np.sqrt(np.diag(found.covariance_px2))
     assert np.all(np.abs(found.a_px - truth) < 4 * sd[2:4])
     assert np.all(np.abs(found.centre_px - centre) < 5 * sd[:2])
@@ -75,7 +75,7 @@ def test_orbits_of_any_colour(area):
     scene = area.Scene(bayer=True, white_dn=(1500, 2600, 1300, 2600), sigma_px=(1.0, 0.8, 0.7, 0.8))
     sharp, _ = sharp_of(area, scene)
     patch, centre = blurred_of(area, scene, (5.0, 1.0), (-0.4, 2.0))
-    found = measure(sharp, patch, extra_blur=STILL, start=Start(np.array(centre)))
+    found = measure(sharp, patch, defocus=STILL, initial_guess=InitialGuess(np.array(centre)))
     assert np.hypot(*found.a_px) == pytest.approx(np.sqrt(np.linalg.eigvalsh([[25.16, 4.2], [4.2, 5.0]])[1]), abs=0.02)
     assert np.hypot(*found.b_px) == pytest.approx(np.sqrt(np.linalg.eigvalsh([[25.16, 4.2], [4.2, 5.0]])[0]), abs=0.03)
     assert found.a_px[0] > 0
@@ -86,7 +86,7 @@ def test_a_straight_path_has_no_minor_axis_but_a_stated_doubt_of_it(area):
     scene = area.Scene()
     sharp, _ = sharp_of(area, scene)
     patch, _ = blurred_of(area, scene, (6.0, 1.0))
-    found = measure(sharp, patch, extra_blur=STILL)
+    found = measure(sharp, patch, defocus=STILL)
     across = np.array([-found.a_px[1], found.a_px[0]]) / np.hypot(*found.a_px)
     assert np.all(found.b_px == 0)
     assert 0.05 < np.sqrt(across @ found.covariance_px2[4:, 4:] @ across) < 0.6
@@ -101,7 +101,7 @@ def test_the_airy_pattern_is_no_worse_than_half_again_the_gaussian(area):
         for seed in range(2):
             for a in (1.5, 6.0):
                 patch, _ = blurred_of(area, scene, (a, 0.0), seed=10 + seed)
-                errors.append(np.hypot(*measure(sharp, patch, extra_blur=STILL).a_px) - a)
+                errors.append(np.hypot(*measure(sharp, patch, defocus=STILL).a_px) - a)
         rms.append(np.sqrt(np.mean(np.square(errors))))
     assert rms[1] < max(1.5 * rms[0], 0.012)
 
@@ -110,7 +110,7 @@ def test_defocus_is_not_read_as_motion_when_controls_tell_of_it(area):
     scene = area.Scene()
     sharp, _ = sharp_of(area, scene)
     patch, _ = blurred_of(area, scene, (0.0, 0.0), extra=0.5)
-    told = measure(sharp, patch, extra_blur=ExtraBlur(0.25, 0.01))
+    told = measure(sharp, patch, defocus=Defocus(0.25, 0.01))
     assert Flag.AT_REST in told.flags
     assert np.hypot(*told.a_px) < 0.35
 
@@ -119,7 +119,7 @@ def test_rest_is_said_so_and_keeps_an_estimate_with_its_deviation(area):
     scene = area.Scene()
     sharp, _ = sharp_of(area, scene)
     patch, _ = blurred_of(area, scene, (0.0, 0.0))
-    found = measure(sharp, patch, extra_blur=STILL)
+    found = measure(sharp, patch, defocus=STILL)
     assert Flag.AT_REST in found.flags
     assert np.all(np.isfinite(found.a_px))
     assert np.hypot(*found.a_px) < 4 * np.sqrt(found.covariance_px2[2, 2])
@@ -143,7 +143,7 @@ def test_any_geometry_light_and_noise(area, radius, ratio, size, angle, gradient
     sharp, _ = sharp_of(area, scene, seed=seed)
     truth = size * np.array([np.cos(angle), np.sin(angle)])
     patch, centre = blurred_of(area, scene, truth, seed=seed + 1)
-    found = measure(sharp, patch, extra_blur=STILL, start=Start(np.array(centre) + 1.5))
+    found = measure(sharp, patch, defocus=STILL, initial_guess=InitialGuess(np.array(centre) + 1.5))
     error = min(np.abs(np.hypot(*found.a_px) - size), 99)
     assert error < 5 * np.sqrt(np.trace(found.covariance_px2[2:4, 2:4])) + 0.003
     assert error < 0.15
@@ -167,7 +167,7 @@ def test_errors_are_as_large_as_stated(area):
                 patch, place = blurred_of(area, scene_now, (a, 0.0), seed=100 * index + seed)
                 # It moves where it rested.
                 patch = replace(patch, origin_px=(round(rest[0] - place[0]), round(rest[1] - place[1])))
-                found = measure(sharp, patch, extra_blur=ExtraBlur(0.0, 0.002))
+                found = measure(sharp, patch, defocus=Defocus(0.0, 0.002))
                 along = found.a_px / np.hypot(*found.a_px)
                 sd = np.sqrt(along @ found.covariance_px2[2:4, 2:4] @ along)
                 pulls.append((np.hypot(*found.a_px) - a) / sd)
@@ -181,7 +181,7 @@ def test_white_that_clips_is_left_out(area):
     sharp, _ = sharp_of(area, scene)
     patch, _ = blurred_of(area, scene, (4.0, 1.0))
     assert patch.valid.mean() < 0.7
-    found = measure(sharp, patch, extra_blur=STILL)
+    found = measure(sharp, patch, defocus=STILL)
     assert np.hypot(*(found.a_px - (4.0, 1.0))) < 0.03
     assert not found.flags
 
@@ -195,8 +195,8 @@ def test_a_motion_that_is_no_sinusoid_is_called_a_poor_fit_and_a_declared_one_is
         return 5.0 * s, 1.0 * s
 
     patch = area.render(scene, (76, 84), (42.1, 38.2), triangle, seed=4, samples=700)
-    assert Flag.POOR_FIT in measure(sharp, patch, extra_blur=STILL).flags
-    found = measure(sharp, patch, extra_blur=STILL, law=DisplacementLaw.triangular())
+    assert Flag.POOR_FIT in measure(sharp, patch, defocus=STILL).flags
+    found = measure(sharp, patch, defocus=STILL, waveform=MotionWaveform.triangular())
     assert np.hypot(*(found.a_px - (5.0, 1.0))) < 0.04
     assert not found.flags
 
@@ -204,7 +204,7 @@ def test_a_motion_that_is_no_sinusoid_is_called_a_poor_fit_and_a_declared_one_is
 def test_a_gauge_record_and_harmonics_are_the_same_law():
     t = np.arange(4000) / 4000
     values = 3.0 * (np.sin(2 * np.pi * t) + 0.3 * np.sin(4 * np.pi * t + 0.5)) + 7.0
-    record, harmonics = DisplacementLaw.record(values), DisplacementLaw.harmonics([1.0, 0.3], [0.0, 0.5])
+    record, harmonics = MotionWaveform.record(values), MotionWaveform.harmonics([1.0, 0.3], [0.0, 0.5])
     for law in (record, harmonics):
         assert np.ptp(law.displacement) == pytest.approx(2.0, abs=1e-2)
         assert law.weight @ law.displacement == pytest.approx(0.0, abs=1e-9)
@@ -217,10 +217,10 @@ def test_part_cycles_with_and_without_a_known_window(area):
     scene = area.Scene()
     sharp, _ = sharp_of(area, scene)
     patch = area.render(scene, (76, 84), (42, 38), area.part_cycles(4, 0, 0, 0, 5.37, 1.1), seed=3, samples=537)
-    known = measure(sharp, patch, window=Window(5.37, 1.0, 1.1), extra_blur=STILL)
+    known = measure(sharp, patch, window=ExposureWindow(5.37, 1.0, 1.1), defocus=STILL)
     assert np.hypot(*known.a_px) == pytest.approx(4.0, abs=0.02)
     assert not known.flags
-    unknown = measure(sharp, patch, window=Window(5.37, 1.0), extra_blur=STILL)
+    unknown = measure(sharp, patch, window=ExposureWindow(5.37, 1.0), defocus=STILL)
     assert unknown.flags == {Flag.PART_CYCLES}
     assert np.hypot(*unknown.a_px) == pytest.approx(4.0, rel=0.03)
 
@@ -234,16 +234,14 @@ def test_a_frame_without_controls_finds_its_own_defocus(area):
     assert Flag.AT_REST in found[0].flags
     for one, truth in zip(found[1:], truths[1:], strict=True):
         assert np.hypot(*one.a_px) == pytest.approx(np.hypot(*truth), abs=0.06)
-        assert one.extra_blur_px2 == pytest.approx(0.25, abs=0.08)
+        assert one.defocus_px2 == pytest.approx(0.25, abs=0.08)
 
 
 def test_what_goes_to_a_worker_survives_the_journey(area):
     sharp, _ = sharp_of(area, area.Scene(bayer=True))
     patch, _ = blurred_of(area, area.Scene(bayer=True), (3.0, 0.0))
     again = pickle.loads(pickle.dumps(sharp))
-    np.testing.assert_array_equal(
-        measure(again, patch, extra_blur=STILL).a_px, measure(sharp, patch, extra_blur=STILL).a_px
-    )
+    np.testing.assert_array_equal(measure(again, patch, defocus=STILL).a_px, measure(sharp, patch, defocus=STILL).a_px)
 
 
 def test_nothing_warns_on_a_clean_measurement(area):
@@ -265,7 +263,7 @@ def test_a_dot_that_came_nearer_on_its_way_aside_is_larger_and_moves_no_more(are
         place = (centre[0] + aside[0] + 0.3, centre[1] + aside[1] - 0.2)
         origin = (int(place[0]) - 24, int(place[1]) - 24)
         smear = area.render(nearer, (48, 48), place, area.whole_cycles(*a), seed=seed, origin=origin)
-        found = measure(sharp, smear, start=Start(np.array(place)), extra_blur=STILL)
+        found = measure(sharp, smear, initial_guess=InitialGuess(np.array(place)), defocus=STILL)
         along = found.a_px / np.hypot(*found.a_px)
         sd = np.sqrt(along @ found.covariance_px2[2:4, 2:4] @ along)
         pulls.append((np.hypot(*found.a_px) - np.hypot(*a)) / sd)

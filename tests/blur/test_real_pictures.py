@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labdaemon.blur import Dot, Patch, Start, fit_sharp, measure, measure_frame, sharp_texture
+from labdaemon.blur import Dot, InitialGuess, Patch, fit_sharp, make_textured_patch, measure, measure_frame
 from labdaemon.flags import Flag
 
 
@@ -35,8 +35,8 @@ def test_real_frame(shared_data):
         sharps.append(fit_sharp(Dot(x, y, 10.5, 10.5, 0.0), [cut(still, x, y, 32)]))
         x, y = row["centre_x_px"] + rng.uniform(-2, 2), row["centre_y_px"] + rng.uniform(-2, 2)
         patches.append(cut(moved, x, y, 36))
-        starts.append(Start(np.array([x, y])))
-    found = measure_frame(sharps, patches, starts=starts)
+        starts.append(InitialGuess(np.array([x, y])))
+    found = measure_frame(sharps, patches, initial_guesses=starts)
     error = np.array([np.hypot(*m.a_px) - row["semi_amplitude_px"] for m, row in zip(found, rows, strict=True)])
     floor = np.array([row["floor"] for row in rows])
     for one in (1, 2, 3):
@@ -55,7 +55,7 @@ def test_real_forks(shared_data):
         blurred = grey(np.load(folder / f"{name}_blurred.npy").astype(float))
         for side, truth in film["targets"].items():
             sharp = grey(np.load(folder / f"{name}_{side}_sharp_turning.npy").astype(float))
-            found = measure(sharp_texture(sharp, tuple(truth["patch_xywh"])), blurred)
+            found = measure(make_textured_patch(sharp, tuple(truth["patch_xywh"])), blurred)
             errors[name, side] = float(np.hypot(*found.a_px)) - truth["rms_amp_sqrt2_px"]
     assert len(errors) == 10
     assert max(abs(e) for e in errors.values()) <= 0.06, errors

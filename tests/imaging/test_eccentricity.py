@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.blur.patch.ellipse import fit
+from labdaemon.blur.patch.ellipse import fit_ellipse
 from labdaemon.imaging.eccentricity import centre_shift, ellipse_centre
 
 
@@ -32,7 +32,7 @@ def test_closed_form_against_an_ellipse_fitted_to_projected_points(
     centre = np.array([x, y, z])
     normal = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
     points = circle(centre, normal, radius)
-    fitted = fit(points[:, :2] / points[:, 2:] * 4000.0)
+    fitted = fit_ellipse(points[:, :2] / points[:, 2:] * 4000.0)
     assert fitted is not None
     assert ellipse_centre(centre, normal, radius) * 4000.0 == pytest.approx((fitted.x_px, fitted.y_px), abs=2e-3)
 

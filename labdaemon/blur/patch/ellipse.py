@@ -36,7 +36,7 @@ class Ellipse:
         return float(np.sqrt(self.semi_major_px * self.semi_minor_px))
 
     @property
-    def frame(self) -> FloatArray:
+    def axes_matrix(self) -> FloatArray:
         """(2, 2) that takes the unit circle to the ellipse about its centre; columns are the semi-axes."""
         c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return np.array(
@@ -46,15 +46,15 @@ class Ellipse:
     def points(self, angles_rad: NDArray[np.floating], scale: float | FloatArray = 1.0) -> FloatArray:
         """(…, 2) points at eccentric angles, on the ellipse enlarged `scale` times about its centre."""
         unit = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1) * np.asarray(scale)[..., None]
-        return np.asarray(unit @ self.frame.T + np.array([self.x_px, self.y_px]))
+        return np.asarray(unit @ self.axes_matrix.T + np.array([self.x_px, self.y_px]))
 
     def radii(self, points: FloatArray) -> FloatArray:
         """(…) distance of points (…, 2) from the centre in units of the ellipse: 1 on it."""
-        local = (points - np.array([self.x_px, self.y_px])) @ np.linalg.inv(self.frame).T
+        local = (points - np.array([self.x_px, self.y_px])) @ np.linalg.inv(self.axes_matrix).T
         return np.asarray(np.hypot(local[..., 0], local[..., 1]))
 
 
-def from_moments(x_px: float, y_px: float, xx: float, xy: float, yy: float) -> Ellipse | None:
+def ellipse_from_moments(x_px: float, y_px: float, xx: float, xy: float, yy: float) -> Ellipse | None:
     """Filled ellipse with a given centre and central second moments (px²); None if it has no extent.
 
     A filled ellipse's variance along a semi-axis s is s²/4.
@@ -63,10 +63,10 @@ def from_moments(x_px: float, y_px: float, xx: float, xy: float, yy: float) -> E
     if values[0] <= 0.0:
         return None
     major = vectors[:, 1]
-    return Ellipse(x_px, y_px, 2.0 * float(np.sqrt(values[1])), 2.0 * float(np.sqrt(values[0])), _upright(major))
+    return Ellipse(x_px, y_px, 2.0 * float(np.sqrt(values[1])), 2.0 * float(np.sqrt(values[0])), _axis_angle(major))
 
 
-def fit(points: FloatArray) -> Ellipse | None:
+def fit_ellipse(points: FloatArray) -> Ellipse | None:
     """Ellipse through points by direct least squares; None where they lie on no ellipse.
 
     Parameters
@@ -101,10 +101,10 @@ def fit(points: FloatArray) -> Ellipse | None:
         return None
     a, b, c = vectors[:, np.argmax(elliptic)]
     d, e, f = eliminate @ np.array([a, b, c])
-    return _from_conic(np.array([a, b, c, d, e, f]), shift, size)
+    return _ellipse_from_conic(np.array([a, b, c, d, e, f]), shift, size)
 
 
-def _from_conic(conic: FloatArray, shift: FloatArray, size: float) -> Ellipse | None:
+def _ellipse_from_conic(conic: FloatArray, shift: FloatArray, size: float) -> Ellipse | None:
     a, b, c, d, e, f = conic
     form = np.array([[a, b / 2.0], [b / 2.0, c]])
     centre = np.linalg.solve(form, [-d / 2.0, -e / 2.0])
@@ -114,9 +114,9 @@ def _from_conic(conic: FloatArray, shift: FloatArray, size: float) -> Ellipse | 
         return None
     minor, major = np.sqrt(abs(level) / values[1]) * size, np.sqrt(abs(level) / values[0]) * size
     x, y = centre * size + shift
-    return Ellipse(float(x), float(y), float(major), float(minor), _upright(vectors[:, 0]))
+    return Ellipse(float(x), float(y), float(major), float(minor), _axis_angle(vectors[:, 0]))
 
 
-def _upright(axis: FloatArray) -> float:
+def _axis_angle(axis: FloatArray) -> float:
     angle = float(np.arctan2(axis[1], axis[0]))
     return (angle + np.pi / 2.0) % np.pi - np.pi / 2.0

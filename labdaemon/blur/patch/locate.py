@@ -14,10 +14,10 @@ from scipy import ndimage
 
 from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
 
-MANY = 1500
+COARSE_PLANE_PIXELS = 1500
 """Pixels of which a quarter is enough to find the plane of light."""
 
-LARGE_PX2 = 200.0
+COARSE_SEARCH_AREA_PX2 = 200.0
 """Area of dots that can be found at half the resolution."""
 
 
@@ -27,7 +27,7 @@ class Blob:
 
     Attributes
     ----------
-    others
+    other_blobs
         (h, w) pixels of other dark things, widened by their own blur.
     centre_px
         (2,) centroid of its darkness, frame coordinates.
@@ -37,16 +37,16 @@ class Blob:
         (left, top, right, bottom) inclusive, frame coordinates.
     area_px2
         Sum of its darkness.
-    cut
+    clipped
         True where it runs off the patch.
     """
 
-    others: BoolArray
+    other_blobs: BoolArray
     centre_px: FloatArray
     moment_px2: FloatArray
     box_px: tuple[int, int, int, int]
     area_px2: float
-    cut: bool
+    clipped: bool
 
 
 def darkness_map(patch: Patch, contrast: dict[int, float] | None = None) -> FloatArray:
@@ -57,16 +57,16 @@ def darkness_map(patch: Patch, contrast: dict[int, float] | None = None) -> Floa
     contrast
         1 − ink/white of each channel where known; else the darkest hundredth counts as ink.
     """
-    dark, finite = _against_white(patch, contrast)
-    return _without_light(dark, finite, MANY)
+    dark, finite = _relative_darkness(patch, contrast)
+    return _subtract_light_plane(dark, finite, COARSE_PLANE_PIXELS)
 
 
-def _against_white(patch: Patch, contrast: dict[int, float] | None) -> tuple[FloatArray, BoolArray]:
+def _relative_darkness(patch: Patch, contrast: dict[int, float] | None) -> tuple[FloatArray, BoolArray]:
     """Darkness of each channel against its own white, and where it is known."""
     dark = np.zeros(patch.shape)
     finite = patch.valid & np.isfinite(patch.values)
     whole = bool(finite.all())
-    for channel, part in _parts(patch.channel):
+    for channel, part in _channel_parts(patch.channel):
         values = patch.values[part]
         good = values.ravel() if whole else values[finite[part]]
         if good.size < 8:
@@ -84,7 +84,7 @@ def _against_white(patch: Patch, contrast: dict[int, float] | None) -> tuple[Flo
 Part = tuple[slice, slice] | BoolArray
 
 
-def _parts(channel: NDArray[np.uint8]) -> list[tuple[int, Part]]:
+def _channel_parts(channel: NDArray[np.uint8]) -> list[tuple[int, Part]]:
     """Which pixels belong to each channel: the lattices of a mosaic of period two, or whatever there is."""
     if np.array_equal(channel[2:], channel[:-2]) and np.array_equal(channel[:, 2:], channel[:, :-2]):
         first = channel[:2, :2]
@@ -97,7 +97,7 @@ def _quantile(values: FloatArray, part: float) -> float:
     return float(np.partition(values, place)[place])
 
 
-def _without_light(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray:
+def _subtract_light_plane(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray:
     """The darkness against a plane through what is nearly white; 0 where it is not known.
 
     Of more than `many` pixels every other one of every other row is enough to find the plane.
@@ -127,7 +127,7 @@ def _without_light(dark: FloatArray, finite: BoolArray, many: int) -> FloatArray
     return result
 
 
-def _quads(dark: FloatArray, finite: BoolArray) -> tuple[FloatArray, BoolArray]:
+def _bin_pixels(dark: FloatArray, finite: BoolArray) -> tuple[FloatArray, BoolArray]:
     """Squares of four pixels as one, without an odd last row or column."""
     height, width = dark.shape[0] // 2 * 2, dark.shape[1] // 2 * 2
     corners = [np.s_[y:height:2, x:width:2] for y in (0, 1) for x in (0, 1)]
@@ -159,12 +159,12 @@ def find_blob(
     threshold
         Darkness that counts; None takes what stands out of the noise.
     """
-    dark, finite = _against_white(patch, contrast)
-    coarse = contrast is not None and threshold is None and area_px2 > LARGE_PX2
+    dark, finite = _relative_darkness(patch, contrast)
+    coarse = contrast is not None and threshold is None and area_px2 > COARSE_SEARCH_AREA_PX2
     scale = 2 if coarse else 1
     if coarse:
-        dark, finite = _quads(dark, finite)
-    dark = _without_light(dark, finite, MANY // scale)
+        dark, finite = _bin_pixels(dark, finite)
+    dark = _subtract_light_plane(dark, finite, COARSE_PLANE_PIXELS // scale)
     smooth = ndimage.uniform_filter(dark, 5 if min(dark.shape) > 12 and not coarse else 3, mode="nearest")
     if threshold is None:
         noise = 1.48 * _quantile(np.abs(smooth - _quantile(smooth.ravel(), 0.5)).ravel(), 0.5)
@@ -175,18 +175,18 @@ def find_blob(
     expected = (near_px - np.asarray(patch.origin_px) - (scale - 1) / 2) / scale
     area = area_px2 / scale**2
     sums: FloatArray = np.bincount(labels.ravel(), np.maximum(dark, 0).ravel())[1:].astype(np.float64)
-    best = _likeliest(labels, sums, expected, area, 3.0 / scale) if count > 1 else 1
+    best = _select_blob(labels, sums, expected, area, 3.0 / scale) if count > 1 else 1
     if sums[best - 1] < 0.2 * area:
         return None
     mask = labels == best
-    others = np.zeros(patch.shape, dtype=bool)
+    other_blobs = np.zeros(patch.shape, dtype=bool)
     if count > 1:
         near = ndimage.binary_dilation((labels > 0) & ~mask, iterations=2 // scale) & ~mask
-        others[: near.shape[0] * scale, : near.shape[1] * scale] = near.repeat(scale, axis=0).repeat(scale, axis=1)
-    return _describe(patch, dark, mask, others, scale)
+        other_blobs[: near.shape[0] * scale, : near.shape[1] * scale] = near.repeat(scale, axis=0).repeat(scale, axis=1)
+    return _describe_blob(patch, dark, mask, other_blobs, scale)
 
 
-def _likeliest(
+def _select_blob(
     labels: NDArray[np.signedinteger[Any]], sums: FloatArray, expected: FloatArray, area: float, least_reach: float
 ) -> int:
     """Which of several blobs is near enough and large enough."""
@@ -202,7 +202,7 @@ def _likeliest(
     return best
 
 
-def _describe(patch: Patch, dark: FloatArray, mask: BoolArray, others: BoolArray, scale: int) -> Blob:
+def _describe_blob(patch: Patch, dark: FloatArray, mask: BoolArray, other_blobs: BoolArray, scale: int) -> Blob:
     height, width = mask.shape
     ys, xs = np.nonzero(mask)
     weight = np.maximum(dark[mask], 0)
@@ -215,7 +215,7 @@ def _describe(patch: Patch, dark: FloatArray, mask: BoolArray, others: BoolArray
     x0, y0, x1, y1 = int(xs.min()), int(ys.min()), int(xs.max()), int(ys.max())
     last = scale - 1
     return Blob(
-        others,
+        other_blobs,
         np.array([scale * cx + last / 2 + left, scale * cy + last / 2 + top]),
         scale**2 * moment - (scale**2 - 1) / 12 * np.eye(2),
         (scale * x0 + left, scale * y0 + top, scale * x1 + last + left, scale * y1 + last + top),
@@ -224,6 +224,6 @@ def _describe(patch: Patch, dark: FloatArray, mask: BoolArray, others: BoolArray
     )
 
 
-def masked(patch: Patch, hidden: NDArray[np.bool_]) -> Patch:
+def mask_pixels(patch: Patch, hidden: NDArray[np.bool_]) -> Patch:
     """The patch with more pixels declared invalid."""
     return Patch(patch.values, patch.channel, patch.valid & ~hidden, patch.origin_px)

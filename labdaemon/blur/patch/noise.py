@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage
 
-from labdaemon.blur.patch.mosaic import split
+from labdaemon.blur.patch.colour_planes import make_planes
 from labdaemon.blur.patch.pixels import FloatArray, NoiseModel, Patch
 
 
@@ -39,7 +39,7 @@ def estimate_noise(patches: Sequence[Patch]) -> NoiseModel:
     signals: list[FloatArray] = []
     squares: list[FloatArray] = []
     for patch in patches:
-        planes = split(patch)
+        planes = make_planes(patch)
         for values, valid in zip(planes.values, planes.valid, strict=True):
             if min(values.shape) < 5:
                 continue

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.mosaic import Grid
+from labdaemon.blur.patch.colour_planes import FrequencyGrid
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, NoiseModel
-from labdaemon.blur.sharp.papermap import PaperMap
-from labdaemon.blur.sharp.relief import Relief
-from labdaemon.blur.spectra import shapes
+from labdaemon.blur.sharp.template_residual import TemplateResidual
+from labdaemon.blur.sharp.texture_map import PaperTextureMap
+from labdaemon.blur.spectra import closed_form
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lens:
+class LensPsf:
     """The lens blur of each colour channel: an aperture's diffraction times a Gaussian.
 
     Attributes
@@ -40,16 +39,16 @@ class Lens:
     offset_px: FloatArray
 
     @property
-    def sharp(self) -> bool:
+    def resolves_pixels(self) -> bool:
         """Whether its sharpest channel passes so much at the pixels' Nyquist frequency that finer ones are needed."""
         at = np.array([0.5])
         passed = [
-            float(shapes.gaussian(at**2, float(v))[0] * shapes.diffraction(at, float(w))[0])
+            float(closed_form.gaussian_transfer(at**2, float(v))[0] * closed_form.diffraction_transfer(at, float(w))[0])
             for v, w in zip(self.variance_px2, self.width_px, strict=True)
         ]
         return max(passed) > 0.06
 
-    def rows(self, channel: NDArray[np.int64]) -> NDArray[np.int64]:
+    def channel_rows(self, channel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Which row belongs to each of `channel`."""
         order = {int(number): row for row, number in enumerate(self.channel)}
         try:
@@ -57,29 +56,29 @@ class Lens:
         except KeyError as missing:
             raise UsageError(f"colour channel {missing} is not in the sharp frame; use frames of one camera") from None
 
-    def transfer(self, grid: Grid, channel: NDArray[np.int64]) -> ComplexArray:
+    def transfer(self, grid: FrequencyGrid, channel: NDArray[np.int64]) -> ComplexArray:
         """(n, rows, columns) transfer function with the pixel and the channel's offset."""
         f2 = grid.fx**2 + grid.fy**2
         f = np.sqrt(f2)
-        common = shapes.pixel(grid.fx, grid.fy)
+        common = closed_form.pixel_transfer(grid.fx, grid.fy)
         result = np.empty((len(channel), *f2.shape), dtype=np.complex128)
-        for place, row in enumerate(self.rows(channel)):
-            blur = shapes.gaussian(f2, float(self.variance_px2[row])) * common
+        for place, row in enumerate(self.channel_rows(channel)):
+            blur = closed_form.gaussian_transfer(f2, float(self.variance_px2[row])) * common
             if self.width_px[row] > 0:
-                blur = blur * shapes.diffraction(f, float(self.width_px[row]))
+                blur = blur * closed_form.diffraction_transfer(f, float(self.width_px[row]))
             shift = grid.fx * self.offset_px[row, 0] + grid.fy * self.offset_px[row, 1]
             result[place] = blur * np.exp(-2j * np.pi * shift)
         return result
 
 
-LENS_PX = 3000.0  # focal length of ordinary lenses on ordinary sensors, or less
-DISTORTION = 0.02  # standard deviation of a label's turn and stretch between the frames, radians
+MIN_FOCAL_PX = 3000.0  # focal length of ordinary lenses on ordinary sensors, or less
+DISTORTION_SD = 0.02  # standard deviation of a label's turn and stretch between the frames, radians
 
 
-class Form(Protocol):
+class TargetShape(Protocol):
     """What a target looks like at rest, as spectra about its centre."""
 
-    def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
+    def spectra(self, grid: FrequencyGrid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
         """Spectra of the darkness and their derivatives by the uncertain shape parameters.
 
         Returns
@@ -110,13 +109,13 @@ class Form(Protocol):
         ...
 
     @property
-    def skirt_px(self) -> int:
+    def psf_margin_px(self) -> int:
         """Room that its blur needs between it and its periodic images."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ellipse:
+class EllipseShape:
     """A uniformly dark ellipse behind a lens.
 
     Attributes
@@ -127,43 +126,45 @@ class Ellipse:
         Blur of each channel.
     shape_covariance
         (4, 4) covariance of q0, q1, q2 (px) and the blur's variance (px²).
-    relief
+    template_residual
         What the sharp picture shows beyond the ellipse, if that is more than noise.
     """
 
     q_px: FloatArray
-    lens: Lens
+    lens: LensPsf
     shape_covariance: FloatArray
-    relief: Relief | None = None
+    template_residual: TemplateResidual | None = None
 
-    def spectra(self, grid: Grid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
+    def spectra(self, grid: FrequencyGrid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
         """Closed form, and relief; derivatives by q0, q1, q2 and the blur's variance.
 
         With a strong relief the derivatives are by a small linear distortion (xx, yy, xy, yx: a label that tilts and
         turns) and the blur's variance.
         """
         lens = self.lens.transfer(grid, channel)
-        dark, by_q = shapes.ellipse(grid.fx, grid.fy, self.q_px)
+        dark, by_q = closed_form.ellipse_spectrum(grid.fx, grid.fy, self.q_px)
         spectrum = dark * lens
         by_blur = -2 * np.pi**2 * (grid.fx**2 + grid.fy**2) * spectrum
-        if self.relief is None or not self.relief.strong:
+        if self.template_residual is None or not self.template_residual.is_strong:
             derivatives = np.concatenate((by_q[:, None] * lens, by_blur[None]))
-            return spectrum if self.relief is None else spectrum + self.relief.spectrum(grid), derivatives
+            return spectrum if self.template_residual is None else spectrum + self.template_residual.spectrum(
+                grid
+            ), derivatives
         q = self.q_px
-        by_linear = self.relief.by_affine(grid)[:, None] + np.zeros_like(spectrum)
+        by_linear = self.template_residual.affine_derivatives(grid)[:, None] + np.zeros_like(spectrum)
         # (1 + E) Q, made symmetric: what turns a circle does not change it.
         by_linear[0] += (q[0] * by_q[0] + q[1] * by_q[1] / 2) * lens
         by_linear[1] += (q[2] * by_q[2] + q[1] * by_q[1] / 2) * lens
         for index in (2, 3):
             by_linear[index] += ((q[0] + q[2]) / 4 * by_q[1] + q[1] / 2 * (by_q[0] + by_q[2])) * lens
-        return spectrum + self.relief.spectrum(grid), np.concatenate((by_linear, by_blur[None]))
+        return spectrum + self.template_residual.spectrum(grid), np.concatenate((by_linear, by_blur[None]))
 
     @property
     def prior_covariance(self) -> FloatArray:
         """Covariance of the parameters that `spectra` differentiates by."""
-        if self.relief is None or not self.relief.strong:
+        if self.template_residual is None or not self.template_residual.is_strong:
             return self.shape_covariance
-        return np.diag([*[DISTORTION**2] * 4, self.shape_covariance[3, 3]])
+        return np.diag([*[DISTORTION_SD**2] * 4, self.shape_covariance[3, 3]])
 
     @property
     def half_size_px(self) -> tuple[float, float]:
@@ -182,10 +183,10 @@ class Ellipse:
     @property
     def oversampling(self) -> int:
         """2 for a lens that is sharper than the pixels."""
-        return 2 if self.lens.sharp else 1
+        return 2 if self.lens.resolves_pixels else 1
 
     @property
-    def skirt_px(self) -> int:
+    def psf_margin_px(self) -> int:
         """12 for a lens that diffraction limits: an Airy pattern's skirts fall slowly; 4 for others."""
         return 12 if float(np.max(self.lens.width_px)) > 1.0 else 4
 
@@ -219,23 +220,23 @@ class SharpTarget:
     name: str
     centre_px: FloatArray
     covariance_px2: FloatArray
-    form: Form
+    form: TargetShape
     contrast: dict[int, float]
     noise: NoiseModel
     noise_known: bool = True
     paper_px: float = float("inf")
     chi2: float = 1.0
     flags: frozenset[Flag] = field(default_factory=frozenset)
-    paper: PaperMap | None = None
+    paper: PaperTextureMap | None = None
 
-    def elsewhere(self, place_px: FloatArray) -> SharpTarget:
+    def with_scale_uncertainty(self, place_px: FloatArray) -> SharpTarget:
         """The target where its mean position is another than at rest: its size is known less well there.
 
         What moved sideways may have come nearer or gone away by as much, and looks larger or smaller by that part of
-        its distance; a lens is `LENS_PX` long or more.
+        its distance; a lens is `MIN_FOCAL_PX` long or more.
         """
-        part = float(np.hypot(*(place_px - self.centre_px))) / LENS_PX
-        if not isinstance(self.form, Ellipse) or not part > 0:
+        part = float(np.hypot(*(place_px - self.centre_px))) / MIN_FOCAL_PX
+        if not isinstance(self.form, EllipseShape) or not part > 0:
             return self
         size = np.append(self.form.q_px, 0.0) * part
         covariance = self.form.shape_covariance + np.outer(size, size)
@@ -245,8 +246,3 @@ class SharpTarget:
     def usable(self) -> bool:
         """Whether later fits can rest on it."""
         return Flag.NOT_FOUND not in self.flags and bool(np.all(np.isfinite(self.centre_px)))
-
-
-def usable(targets: Sequence[SharpTarget]) -> list[SharpTarget]:
-    """Those that later fits can rest on."""
-    return [target for target in targets if target.usable]

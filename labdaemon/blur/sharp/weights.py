@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from labdaemon.blur.motion import ExtraBlur
-from labdaemon.blur.patch.mosaic import Planes
+from labdaemon.blur.motion import Defocus
+from labdaemon.blur.patch.colour_planes import ColourPlanes
 from labdaemon.blur.patch.pixels import FloatArray, NoiseModel
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.solver.normal import Prior, Solution
+from labdaemon.blur.solver.reduced_equations import Prior, Solution
 
 
-def nuisance_prior(sharp: SharpTarget, blur: ExtraBlur, motion_count: int) -> Prior:
+def nuisance_prior(sharp: SharpTarget, blur: Defocus, motion_count: int) -> Prior:
     """Prior on (x, y, extra variance, shape…, motion…): defocus from the controls, shape from the sharp frame."""
     k = len(sharp.form.prior_covariance)
     precision = np.zeros((3 + k + motion_count, 3 + k + motion_count))
@@ -34,14 +34,14 @@ def shape_precision(sharp: SharpTarget) -> FloatArray:
     return result
 
 
-def pixel_weights(sharp: SharpTarget, planes: Planes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
+def pixel_weights(sharp: SharpTarget, planes: ColourPlanes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
     """Inverse variances by the target's noise model, `scale` times its variance."""
     return noise_weights(sharp.noise, planes, scale)
 
 
-def noise_weights(noise: NoiseModel, planes: Planes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
+def noise_weights(noise: NoiseModel, planes: ColourPlanes, scale: float = 1.0) -> Callable[[FloatArray], FloatArray]:
     """From modelled values to inverse variances; 0 for pixels that are masked or may be saturated."""
-    ceiling = ceiling_dn(planes)
+    ceiling = saturation_ceiling_dn(planes)
 
     def weights(signal: FloatArray) -> FloatArray:
         variance = np.maximum((noise.variance(signal) + (noise.texture * signal) ** 2) * scale, 1e-12)
@@ -52,7 +52,7 @@ def noise_weights(noise: NoiseModel, planes: Planes, scale: float = 1.0) -> Call
     return weights
 
 
-def ceiling_dn(planes: Planes) -> float:
+def saturation_ceiling_dn(planes: ColourPlanes) -> float:
     """The value from which pixels of these planes are declared saturated; inf where none is."""
     if planes.valid.all() or not planes.valid.any():
         return float("inf")

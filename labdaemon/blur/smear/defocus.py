@@ -6,24 +6,26 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.motion import ExtraBlur, Measurement, StillMeasurement
+from labdaemon.blur.motion import Defocus, Measurement, StaticMeasurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.sharp.texture import Texture
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 
-FREE_SD_PX2 = 0.3
-TEXTURE_SD_PX2 = 1e-3
-SHARED_SD_PX2 = 0.002  # what all control targets of a frame have wrong in common (interpolation between its pixels)
+DOT_DEFOCUS_SD_PX2 = 0.3
+PATCH_DEFOCUS_SD_PX2 = 1e-3
+COMMON_ERROR_SD_PX2 = (
+    0.002  # what all control targets of a frame have wrong in common (interpolation between its pixels)
+)
 
 
-def default_blur(sharp: SharpTarget) -> ExtraBlur:
+def default_defocus(sharp: SharpTarget) -> Defocus:
     """What is assumed of defocus when nothing tells."""
-    return ExtraBlur(0.0, TEXTURE_SD_PX2 if isinstance(sharp.form, Texture) else FREE_SD_PX2)
+    return Defocus(0.0, PATCH_DEFOCUS_SD_PX2 if isinstance(sharp.form, TexturedPatch) else DOT_DEFOCUS_SD_PX2)
 
 
-def frame_blur(stills: Sequence[StillMeasurement]) -> ExtraBlur:
+def estimate_frame_defocus(stills: Sequence[StaticMeasurement]) -> Defocus:
     """A frame's extra blur against the sharp frame: a robust weighted mean over its control targets.
 
     Parameters
@@ -33,7 +35,7 @@ def frame_blur(stills: Sequence[StillMeasurement]) -> ExtraBlur:
 
     Returns
     -------
-    ExtraBlur
+    Defocus
         Its standard deviation is the larger of the formal one and the scatter's.
 
     Raises
@@ -41,27 +43,27 @@ def frame_blur(stills: Sequence[StillMeasurement]) -> ExtraBlur:
     DataError
         None of them could be measured.
     """
-    seen = [s for s in stills if np.isfinite(s.extra_blur_px2) and s.covariance_px2[2, 2] > 0]
+    seen = [s for s in stills if np.isfinite(s.defocus_px2) and s.covariance_px2[2, 2] > 0]
     if not seen:
         raise DataError("no control target could be measured in this frame; check that they are in view and lit")
-    value = np.array([s.extra_blur_px2 for s in seen])
+    value = np.array([s.defocus_px2 for s in seen])
     mean, sd, _ = _robust_mean(value, np.array([s.covariance_px2[2, 2] for s in seen]) + 1e-6)
-    return ExtraBlur(mean, float(np.hypot(sd, SHARED_SD_PX2)))
+    return Defocus(mean, float(np.hypot(sd, COMMON_ERROR_SD_PX2)))
 
 
-def blur_of_targets(measurements: Sequence[Measurement]) -> ExtraBlur | None:
+def estimate_target_defocus(measurements: Sequence[Measurement]) -> Defocus | None:
     """A frame's extra blur from targets that were each fitted with their own; None if there are fewer than three.
 
     It is known no better than it scatters from target to target, and as far as it goes it may be one-sided.
     """
     lost = {Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED}
-    seen = [m.extra_blur_px2 for m in measurements if not (m.flags & lost) and np.isfinite(m.extra_blur_px2)]
+    seen = [m.defocus_px2 for m in measurements if not (m.flags & lost) and np.isfinite(m.defocus_px2)]
     if len(seen) < 3:
         return None
     value = np.array(seen)
     mean, _, scatter = _robust_mean(value, np.full(len(value), max(float(np.var(value)), 1e-6)))
     scatter = max(scatter, 0.005)
-    return ExtraBlur(mean, scatter, 2 * float(np.hypot(mean, scatter)))
+    return Defocus(mean, scatter, 2 * float(np.hypot(mean, scatter)))
 
 
 def _robust_mean(value: FloatArray, variance: FloatArray) -> tuple[float, float, float]:

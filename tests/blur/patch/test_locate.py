@@ -23,8 +23,8 @@ def test_a_large_dot_looks_the_same_at_half_the_resolution(area, bayer):
     np.testing.assert_allclose(coarse.moment_px2, fine.moment_px2, atol=0.06 * np.trace(fine.moment_px2))
     np.testing.assert_allclose(coarse.box_px, fine.box_px, atol=3)
     assert coarse.area_px2 == pytest.approx(fine.area_px2, rel=0.05)
-    assert not coarse.cut
-    assert not coarse.others.any()
+    assert not coarse.clipped
+    assert not coarse.other_blobs.any()
 
 
 def test_what_else_is_dark_is_marked_on_all_of_its_pixels(area):
@@ -35,10 +35,10 @@ def test_what_else_is_dark_is_marked_on_all_of_its_pixels(area):
     blob = look(area, both, (125, 230), 10.0)
     assert blob is not None
     np.testing.assert_allclose(blob.centre_px, (125, 230), atol=0.2)
-    assert blob.others.shape == both.shape
+    assert blob.other_blobs.shape == both.shape
     y, x = np.mgrid[:61, :91]
-    assert blob.others[np.hypot(x - 70, y - 30) < 11].all()
-    assert not blob.others[np.hypot(x - 25, y - 30) < 15].any()
+    assert blob.other_blobs[np.hypot(x - 70, y - 30) < 11].all()
+    assert not blob.other_blobs[np.hypot(x - 25, y - 30) < 15].any()
 
 
 def test_channels_that_do_not_repeat_every_two_pixels_are_judged_one_by_one(area):

@@ -23,12 +23,12 @@ def test_grain_is_no_relief_and_a_rough_edge_is(area):
     scene = area.Scene(radius_px=RADIUS, texture=0.017, texture_px=1.5)
     patch = area.render(scene, SIZE, CENTRE, seed=1)
     grainy = fit_sharp(DOT, [patch])
-    assert grainy.form.relief is None
+    assert grainy.form.template_residual is None
     assert grainy.paper is not None
     assert not grainy.flags
     smooth = area.render(replace(scene, texture=0.0), SIZE, CENTRE, seed=1)
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
     notch = np.exp(-((x - CENTRE[0] - RADIUS) ** 2 + (y - CENTRE[1]) ** 2) / (2 * 1.5**2))
     rough = fit_sharp(DOT, [replace(smooth, values=smooth.values * (1 - 0.4 * notch))])
-    assert rough.form.relief is not None
+    assert rough.form.template_residual is not None
     assert Flag.NOT_FOUND not in rough.flags

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import special
 
-from labdaemon.blur.spectra import shapes
-from labdaemon.blur.spectra.bessel import REACH, j0_j1
+from labdaemon.blur.spectra import closed_form
+from labdaemon.blur.spectra.bessel import MAX_TABULATED, j0_j1
 
 
 def test_the_table_is_good_to_a_hundred_thousandth():
-    z = np.random.default_rng(1).uniform(0, REACH, 20_000).astype(np.float32)
+    z = np.random.default_rng(1).uniform(0, MAX_TABULATED, 20_000).astype(np.float32)
     j0, j1 = j0_j1(z)
     assert j0.dtype == j1.dtype == np.float32
     exact = z.astype(np.float64)
@@ -33,10 +33,10 @@ def test_double_precision_stays_exact():
     np.testing.assert_array_equal(j0_j1(z)[1], special.j1(z))
 
 
-@pytest.mark.parametrize("motion", [shapes.straight, shapes.orbit])
+@pytest.mark.parametrize("motion", [closed_form.straight_transfer, closed_form.orbit_transfer])
 def test_transfer_functions_agree_in_both_precisions(motion):
     fx, fy = np.meshgrid(np.linspace(0, 0.5, 31), np.linspace(-0.5, 0.5, 40))
-    p = np.array([9.0, -4.0]) if motion is shapes.straight else np.array([81.0, -20.0, 30.0])
+    p = np.array([9.0, -4.0]) if motion is closed_form.straight_transfer else np.array([81.0, -20.0, 30.0])
     exact, slopes = motion(fx, fy, p)
     quick, quick_slopes = motion(fx.astype(np.float32), fy.astype(np.float32), p)
     assert quick.dtype == quick_slopes.dtype == np.float32

@@ -1,0 +1,311 @@
+"""A target with something hanging in front of it: its motion from the pixels that are not covered.
+
+What covers is neither known nor of one kind: dark or light, a cable or a corner, with soft edges. What is known is the
+target. Many motions are compared with the patch, each by the pixels that agree with it; the best are fitted with
+weights that let go of what does not agree, ever more strictly; and what then still differs is the cover. The
+measurement is the fit of the rest. Two margins around the cover must give the same, and how far they differ counts as
+error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from labdaemon.blur.fit.refit import fixed_transfer
+from labdaemon.blur.motion import Defocus, Measurement, empty_measurement
+from labdaemon.blur.patch.colour_planes import ColourPlanes, make_grid, make_planes, merge_planes, split_planes
+from labdaemon.blur.patch.illumination import paper_level, render_illumination
+from labdaemon.blur.patch.locate import Blob
+from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
+from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
+from labdaemon.blur.sharp.weights import nuisance_prior, pixel_weights
+from labdaemon.blur.smear.forward_model import FitProblem, forward_model, rest_spectra
+from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.solver.solve import solve
+from labdaemon.blur.spectra import closed_form
+from labdaemon.flags import Flag
+
+TRIAL_AMPLITUDES = (0.15, 0.35, 0.8, 1.4, 2.2)
+"""Semi-amplitudes that are tried, in radii of the dot; rest is tried too."""
+TRIAL_DIRECTIONS = 8
+TRIAL_STEP = 0.3
+"""How far apart places are tried, in radii."""
+RANKING_LIMIT = 25.0
+"""Residuals from which a pixel counts as not the target's while motions are compared: they only come near."""
+BIWEIGHT_LIMITS = (25.0, 12.0, 6.0)
+"""The same while the best ones are fitted."""
+FITTED_MOTIONS = 6
+"""Motions that are fitted."""
+OUTLIER_LIMIT = 4.0
+OCCLUDER_MARGINS_PX = (2, 4)
+"""How far a cover's soft edge may reach beyond what stands out of the noise, px."""
+MIN_VISIBLE_FRACTION = 0.03
+"""Part of the smear's darkness that must be in view."""
+MISSING_FRACTION = 0.08
+"""Part of the target's darkness that no motion takes away or adds."""
+OUTLINE_FRACTION = 0.3
+"""Part of the motion by which another motion's outline may differ."""
+ABSENT_FRACTION = 0.85
+"""Part of it that is missing where there is no target at all, or nothing to be seen of it."""
+MAX_CONTRAST_CHANGE = 0.12
+"""How far the contrast may differ from the sharp frame's: a cover that is taken for a dot has another."""
+MAX_SD_PX, MAX_SD_FRACTION = 0.3, 0.05
+"""Standard deviation, in pixels or of the amplitude, of a measurement that is not worth giving; twice that at rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OcclusionEvidence:
+    """A smear beside what the patch shows.
+
+    Attributes
+    ----------
+    model
+        (H, W) the smear, 0 on paper.
+    observed
+        (H, W) how dark the patch is.
+    outliers
+        (H, W) bool, where they differ.
+    """
+
+    model: FloatArray
+    observed: FloatArray
+    outliers: BoolArray
+
+
+def is_plain_dot(sharp: SharpTarget) -> bool:
+    """Whether a target is known well enough: a dot on paper that shows nothing else, its noise given."""
+    return isinstance(sharp.form, EllipseShape) and sharp.form.template_residual is None and sharp.noise_known
+
+
+def fit_occluded(
+    sharp: SharpTarget,
+    patch: Patch,
+    candidate_centres_px: list[FloatArray],
+    blur: Defocus,
+    found: Measurement,
+    fit: Callable[[FitProblem], Measurement],
+) -> Measurement | None:
+    """Measure a target of which something hides a part.
+
+    Parameters
+    ----------
+    sharp, patch, blur
+        The target, its patch, the frame's defocus.
+    candidate_centres_px
+        Where it may be.
+    found
+        What a fit of the whole patch says, if it says anything.
+    fit
+        Measures what a setting shows.
+
+    Returns
+    -------
+    Measurement or None
+        Flagged `occluded`, without numbers where what is in view does not settle the motion. None where nothing speaks
+        for a cover.
+    """
+    left, top = patch.origin_px
+    high, wide = patch.shape
+    # The rest position is another guess, where the patch shows it.
+    candidate_centres_px = [p for p in candidate_centres_px if left <= p[0] < left + wide and top <= p[1] < top + high]
+    problem = _prepare_neighbourhood(sharp, patch, candidate_centres_px) if candidate_centres_px else None
+    if problem is None:
+        return None
+    planes = problem.planes
+    best = _fit_consensus(sharp, problem, candidate_centres_px, blur)
+    evidence = _compare(sharp, planes, best.light, forward_model(problem, closed_form.straight_transfer)(best.p)[0])
+    if not _shows_occluder(evidence):
+        return None
+    if np.isfinite(found.centre_px).all():
+        parameters = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(problem.shape_count)))
+        whole_patch = _compare(sharp, planes, best.light, forward_model(problem, fixed_transfer(found))(parameters)[0])
+        # A fit that went astray says nothing.
+        if abs(
+            float(whole_patch.model.sum()) / float(evidence.model.sum()) - 1
+        ) < MISSING_FRACTION and not _shows_occluder(whole_patch):
+            return None
+    unmeasured = empty_measurement(sharp.name, {Flag.OCCLUDED, Flag.NOT_FOUND})
+    if not _has_ink_contrast(sharp, planes, best):
+        return unmeasured
+    margin_fits = []
+    for margin in OCCLUDER_MARGINS_PX:
+        hidden = ndimage.binary_dilation(evidence.outliers, iterations=margin)
+        if evidence.model[~hidden].sum() < MIN_VISIBLE_FRACTION * evidence.model.sum():
+            return unmeasured
+        margin_fits.append(fit(_mask_occluder(problem, best, hidden, sharp, blur)))
+    return _combine_margins(margin_fits[0], margin_fits[1], unmeasured)
+
+
+def _prepare_neighbourhood(
+    sharp: SharpTarget, patch: Patch, candidate_centres_px: list[FloatArray]
+) -> FitProblem | None:
+    """The paper around a target's likely places, with nothing hidden yet."""
+    half = np.array(sharp.form.half_size_px)
+    reach = np.ceil(np.minimum(3.2 * half + 8, np.maximum(0.95 * sharp.paper_px, half + 4)))
+    low, high = np.min(candidate_centres_px, axis=0) - reach, np.max(candidate_centres_px, axis=0) + reach
+    left, top = (int(v) for v in np.floor(low))
+    width, height = (int(v) for v in np.ceil(high - low))
+    cut = patch.crop(left, top, width, height)
+    if min(cut.shape) < 5 or np.count_nonzero(cut.valid) < 0.3 * cut.values.size:
+        return None
+    planes = make_planes(cut)
+    if not planes.valid.any() or np.percentile(planes.values[planes.valid], 80) <= 0:
+        return None
+    margin = sharp.form.psf_margin_px
+    grid = make_grid((cut.shape[0] + margin, cut.shape[1] + margin), sharp.form.oversampling)
+    return FitProblem(planes, grid, rest_spectra(sharp.form, grid, planes), np.asarray(candidate_centres_px[0]), None)
+
+
+def _fit_consensus(
+    sharp: SharpTarget, problem: FitProblem, candidate_centres_px: list[FloatArray], blur: Defocus
+) -> Solution:
+    """The straight motion that most pixels agree with."""
+    planes = problem.planes
+    k = problem.shape_count
+    model, base = forward_model(problem, closed_form.straight_transfer), pixel_weights(sharp, planes)
+    light = _paper_illumination(sharp, planes)
+
+    def disagreement(p: FloatArray, light: FloatArray, sigmas: float) -> float:
+        signal = render_illumination(planes, light, model(p)[0])
+        squared = base(np.maximum(signal, 0)) * (planes.values - signal) ** 2
+        return float(np.minimum(squared, sigmas**2).sum())
+
+    radius = float(np.sqrt(np.prod(sharp.form.half_size_px)))
+    tried = [
+        np.concatenate((place, [blur.mean_px2], np.zeros(k), a))
+        for place in candidate_centres_px
+        for a in _trial_motions(radius)
+    ]
+    tried.sort(key=lambda p: disagreement(p, light, RANKING_LIMIT))
+    near = [
+        p + np.concatenate((d, np.zeros(len(p) - 2)))
+        for p in tried[:FITTED_MOTIONS]
+        for d in _trial_offsets(TRIAL_STEP * radius)
+    ]
+    near.sort(key=lambda p: disagreement(p, light, RANKING_LIMIT))
+    prior = nuisance_prior(sharp, blur, 2)
+    best: Solution | None = None
+    least = np.inf
+    for start in near[:FITTED_MOTIONS]:
+        p, its_light = start, light
+        for sigmas in BIWEIGHT_LIMITS:
+            found = solve(planes, _biweight(planes, base, sigmas), model, p, prior, light=its_light)
+            p, its_light = found.p, found.light
+        remains = disagreement(p, its_light, BIWEIGHT_LIMITS[-1])
+        if best is None or remains < least:
+            best, least = found, remains
+    assert best is not None
+    return best
+
+
+def _compare(sharp: SharpTarget, planes: ColourPlanes, light: FloatArray, dark: FloatArray) -> _OcclusionEvidence:
+    """Compare a smear with the patch."""
+    signal = render_illumination(planes, light, dark)
+    weight = pixel_weights(sharp, planes)(np.maximum(signal, 0))
+    residual = merge_planes(planes, (planes.values - signal) * np.sqrt(weight))
+    smooth = ndimage.uniform_filter(residual, 3) * 3.0
+    outliers = ndimage.binary_opening(np.abs(smooth) > OUTLIER_LIMIT, iterations=1)
+    outliers = ndimage.binary_closing(np.pad(outliers, 3), iterations=2)[3:-3, 3:-3]
+    paper = paper_level(planes, light)
+    depth = np.maximum(paper, 1e-9) * np.maximum(light[:, 3, None, None], 0.05)
+    observed = np.where(planes.valid, (paper - planes.values) / depth, dark)
+    return _OcclusionEvidence(merge_planes(planes, dark), merge_planes(planes, observed), outliers)
+
+
+def _paper_illumination(sharp: SharpTarget, planes: ColourPlanes) -> FloatArray:
+    """(n, 4) light of the patch's white paper with the sharp frame's contrast."""
+    light = np.zeros((len(planes.values), 4))
+    for row, (values, valid, channel) in enumerate(zip(planes.values, planes.valid, planes.channel, strict=True)):
+        light[row, 0] = np.percentile(values[valid], 80) if valid.any() else 1.0
+        light[row, 3] = sharp.contrast.get(int(channel), 0.9)
+    return light
+
+
+def _trial_motions(radius: float) -> list[FloatArray]:
+    angles = np.pi * np.arange(TRIAL_DIRECTIONS) / TRIAL_DIRECTIONS
+    return [np.full(2, 0.1)] + [
+        length * radius * np.array([np.cos(angle), np.sin(angle)]) for length in TRIAL_AMPLITUDES for angle in angles
+    ]
+
+
+def _trial_offsets(size: float) -> list[FloatArray]:
+    return [size * np.array([x, y], dtype=float) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+
+
+def _biweight(
+    planes: ColourPlanes, base: Callable[[FloatArray], FloatArray], sigmas: float
+) -> Callable[[FloatArray], FloatArray]:
+    """Weights that let go of pixels that disagree by more than some standard deviations."""
+
+    def weights(signal: FloatArray) -> FloatArray:
+        weight = base(np.maximum(signal, 0))
+        squared = weight * (planes.values - signal) ** 2 / sigmas**2
+        return np.asarray(weight * np.maximum(1 - squared, 0.0) ** 2)
+
+    return weights
+
+
+def _shows_occluder(evidence: _OcclusionEvidence) -> bool:
+    """Whether what differs is no part of another motion of the target.
+
+    A motion that is not as assumed moves darkness about in the smear's half-dark rim. It touches neither the paper
+    around nor the core that is always covered, and it leaves the whole as dark as it is.
+    """
+    area = float(evidence.model.sum())
+    radius = float(np.sqrt(max(area, 0.0) / np.pi))
+    smear, core = evidence.model > 0.02, evidence.model > 0.985
+    length = max((int(np.ptp(np.nonzero(smear.any(axis=axis)))) for axis in (0, 1)), default=0) if smear.any() else 0
+    # Another motion's outline may lie by a part of the motion beside this one's.
+    rim = 3 + int(OUTLINE_FRACTION * max(length / 2 - radius, 0.0))
+    outside = np.count_nonzero(evidence.outliers & ~ndimage.binary_dilation(smear, iterations=rim))
+    inside = np.count_nonzero(evidence.outliers & ndimage.binary_erosion(core, iterations=rim))
+    around = ndimage.binary_dilation(smear, iterations=max(rim, int(radius / 2)))
+    missing = 1 - float(evidence.observed[around].sum()) / max(area, 1.0)
+    if missing > ABSENT_FRACTION:
+        return False
+    return bool(outside > max(0.05 * area, 12) or inside > max(0.02 * area, 8) or abs(missing) > MISSING_FRACTION)
+
+
+def _has_ink_contrast(sharp: SharpTarget, planes: ColourPlanes, solution: Solution) -> bool:
+    """Whether the smear is as dark as the target's ink."""
+    known = np.array([sharp.contrast.get(int(channel), np.nan) for channel in planes.channel])
+    ratio = solution.light[:, 3] / known
+    return bool(np.abs(np.nanmedian(ratio) - 1) < MAX_CONTRAST_CHANGE)
+
+
+def _mask_occluder(
+    problem: FitProblem, solution: Solution, hidden: BoolArray, sharp: SharpTarget, blur: Defocus
+) -> FitProblem:
+    """The setting with the cover masked and the motion that was found to start from."""
+    planes = problem.planes
+    p, a = solution.p, solution.p[-2:]
+    moment = sharp.form.moment_px2 + blur.mean_px2 * np.eye(2) + np.outer(a, a) / 2
+    left, top = planes.origin_px
+    box = (left, top, left + hidden.shape[1], top + hidden.shape[0])
+    blob = Blob(hidden, p[:2].copy(), moment, box, 0.0, False)
+    return replace(
+        problem,
+        planes=replace(planes, valid=planes.valid & ~split_planes(planes, hidden)),
+        initial_centre_px=p[:2].copy(),
+        blob=blob,
+    )
+
+
+def _combine_margins(near: Measurement, far: Measurement, unmeasured: Measurement) -> Measurement:
+    """The measurement with the wider margin, and what the narrower one says otherwise as error; or nothing."""
+    if Flag.POOR_FIT in far.flags or not all(np.isfinite(one.covariance_px2[:4, :4]).all() for one in (near, far)):
+        return unmeasured
+    sign = -1.0 if float(near.a_px @ far.a_px) < 0 else 1.0
+    away = np.concatenate((near.centre_px - far.centre_px, sign * near.a_px - far.a_px, sign * near.b_px - far.b_px))
+    covariance = far.covariance_px2 + np.outer(away, away)
+    sd = float(np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[1]))
+    loosest = (
+        2 * MAX_SD_PX if Flag.AT_REST in far.flags else max(MAX_SD_PX, MAX_SD_FRACTION * float(np.hypot(*far.a_px)))
+    )
+    if sd > loosest:
+        return unmeasured
+    return replace(far, covariance_px2=covariance, flags=far.flags | {Flag.OCCLUDED})

@@ -1,0 +1,215 @@
+"""A steady motion through known windows, one frame or several: standing where that explains it, an orbit else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.in_phase import PhaseProfile, profile_phase
+from labdaemon.blur.phase.orbit_phase import condition_on_phase, marginalise_orbit_phase
+from labdaemon.blur.phase.orbits import DISTINCT_DISTANCE2, estimate_minor_axis, perpendicular, solve_orbit
+from labdaemon.blur.phase.posterior import (
+    BARRIER_COST,
+    RIVAL_COST,
+    InPhaseMotion,
+    in_phase_vectors,
+    is_bimodal,
+    marginalise_phase,
+)
+from labdaemon.blur.smear.frame_set import (
+    FRAME_PARAMETERS,
+    FrameSet,
+    timing_covariance,
+    window_in_phase_transfer,
+    window_orbit_transfer,
+)
+from labdaemon.blur.smear.uncertainty import REST_SIGMAS, robust_covariance
+from labdaemon.blur.solver.reduced_equations import Solution
+
+EQUAL_COST = 2.0  # difference of squared residuals up to which an image in time is as good, whatever the deviations
+MAX_PHASE_SD_RAD = 0.1  # deviation of an orbit's phase from which all phases are tried
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HarmonicFit:
+    """What was found.
+
+    Attributes
+    ----------
+    value, covariance
+        (6,) x, y, ax, ay, bx, by in terms of the excitation's phase (of the first opening, where that is unknown);
+        (6, 6). Of a single frame a and b are one of two mirror images in time.
+    size_px, sd_size_px
+        sqrt(|a|² + |b|²), which shows whether or not the phase does.
+    solution
+        The fit behind it.
+    profile
+        The standing motion that fits best.
+    in_phase
+        The standing motion that a and b are; None where they are an orbit's.
+    fixed_phase_covariance
+        (6, 6) of an orbit's value with its phase held.
+    minor_axis_variance_px2
+        Mean square of a minor axis that a standing motion may have.
+    phase_unresolved
+        Whether the phase hardly shows.
+    ambiguous
+        Whether another solution, clearly apart, fits as well.
+    anisotropy_px2
+        How far the extra blur may be from the same in all directions.
+    """
+
+    value: FloatArray
+    covariance: FloatArray
+    size_px: float
+    sd_size_px: float
+    solution: Solution
+    profile: PhaseProfile
+    in_phase: InPhaseMotion | None
+    fixed_phase_covariance: FloatArray
+    minor_axis_variance_px2: float
+    phase_unresolved: bool
+    ambiguous: bool
+    anisotropy_px2: float = 0.0
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it cannot be told from rest: an amplitude shows by its square."""
+        limit = float(np.hypot(2 * self.size_px * self.sd_size_px, self.anisotropy_px2))
+        return self.size_px**2 < REST_SIGMAS * limit
+
+
+def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
+    """Fit a standing motion, and an orbit where its minor axis shows.
+
+    Parameters
+    ----------
+    frame_set
+        The target in its frames.
+    orbit
+        False forces straight motion.
+    """
+    moment_px2 = smear_moment(frame_set)
+    profile = profile_phase(frame_set, moment_px2)
+    minor = estimate_minor_axis(frame_set, profile)
+    one_sided = max(blur.anisotropy_px2 for blur in frame_set.blurs)
+    unsure = float(np.hypot(minor.sd_square_px2, one_sided))
+    if orbit and minor.square_px2 > REST_SIGMAS * unsure:
+        best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
+        covariance = robust_covariance(frame_set.sharp, best, frame_set.planes)
+        covariance = covariance + timing_covariance(best, frame_set, window_orbit_transfer)
+        selector = _motion_selector(frame_set, len(best.p), 4)
+        value, covariance = selector @ best.p, selector @ covariance @ selector.T
+        held = condition_on_phase(value, covariance)
+        size, sd = _vector_length(value[2:], held[2:, 2:])
+        phase_unresolved, alone = False, len(frame_set.windows) == 1
+        # A single frame has its image in time. The other sense of turning is in the deviations instead of a flag.
+        linear = covariance
+        near = other is not None and _cost_excess(best, other) < RIVAL_COST
+        if not alone and (near or _sd_phase(value, covariance) > MAX_PHASE_SD_RAD):
+            covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
+        ambiguous = alone
+        if time_reversed is not None:
+            away = selector @ time_reversed.p - value
+            ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
+        steady = HarmonicFit(value, covariance, size, sd, best, profile, None, held, 0.0, phase_unresolved, ambiguous)
+        return replace(steady, anisotropy_px2=one_sided)
+    best = profile.best
+    covariance = robust_covariance(frame_set.sharp, best, frame_set.planes)
+    covariance = covariance + timing_covariance(best, frame_set, window_in_phase_transfer)
+    selector = _motion_selector(frame_set, len(best.p), 3)
+    linear = selector @ covariance @ selector.T
+    in_phase = marginalise_phase(profile, selector @ best.p, linear)
+    size, sd = _vector_length(in_phase.axis[2:], in_phase.axis_covariance[2:, 2:])
+    minor_axis_variance_px2 = minor.mean_square(size)
+    n, c, s = perpendicular(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
+    quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
+    covariance = in_phase.covariance + minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
+    ambiguous, time_reversed = is_bimodal(profile), profile.time_reversed
+    if time_reversed is not None:
+        vectors = in_phase_vectors((selector @ time_reversed.p)[None])[0] - in_phase.value
+        ambiguous = ambiguous or _is_ambiguous(
+            _cost_excess(best, time_reversed), selector @ (time_reversed.p - best.p), linear, vectors, covariance
+        )
+    held = np.zeros((6, 6))
+    steady = HarmonicFit(
+        in_phase.value,
+        covariance,
+        size,
+        sd,
+        best,
+        profile,
+        in_phase,
+        held,
+        minor_axis_variance_px2,
+        in_phase.phase_unresolved,
+        ambiguous,
+    )
+    return replace(steady, anisotropy_px2=one_sided)
+
+
+def _cost_excess(best: Solution, other: Solution) -> float:
+    """By how many squared deviations another solution fits less well."""
+    return (other.cost - best.cost) / max(best.chi2, 1.0)
+
+
+def _is_ambiguous(
+    worse: float, away: FloatArray, linear: FloatArray, vectors: FloatArray, covariance: FloatArray
+) -> bool:
+    """Whether an image in time fits as well, from a valley of its own, and the deviations do not say so.
+
+    Parameters
+    ----------
+    worse
+        Its squared residuals beyond the best solution's.
+    away, linear
+        From one to the other in the fit's own terms, place first, and their linear covariance there: half-way it must
+        cost more than APART.
+    vectors, covariance
+        From one to the other as x, y, a, b, and the covariance that is reported.
+    """
+    if worse > RIVAL_COST or _mahalanobis2(away, linear) < 4 * BARRIER_COST:
+        return False
+    return worse < EQUAL_COST or _mahalanobis2(vectors, covariance) > DISTINCT_DISTANCE2
+
+
+def _mahalanobis2(away: FloatArray, covariance: FloatArray) -> float:
+    motion = away[2:]
+    return float(motion @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ motion)
+
+
+def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
+    """Linear deviation of the common phase of a and b."""
+    by_phase = np.concatenate((-value[4:], value[2:4]))
+    return float(
+        np.sqrt(max(float(by_phase @ covariance[2:, 2:] @ by_phase), 0.0)) / max(float(by_phase @ by_phase), 1e-12)
+    )
+
+
+def _vector_length(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Length of a vector and its deviation."""
+    size = float(np.linalg.norm(vector))
+    along = vector / max(size, 1e-12)
+    return size, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
+
+
+def smear_moment(frame_set: FrameSet) -> FloatArray:
+    """(2, 2) aaᵀ + bbᵀ as the smears' moments have it."""
+    moments = [s.blob.moment_px2 for s in frame_set.problems if s.blob is not None]
+    if not moments:
+        return 4.0 * np.eye(2)
+    defocus = float(np.mean([blur.mean_px2 for blur in frame_set.blurs]))
+    moment_px2: FloatArray = 2 * (np.mean(moments, axis=0) - frame_set.sharp.form.moment_px2 - defocus * np.eye(2))
+    return moment_px2
+
+
+def _motion_selector(frame_set: FrameSet, size: int, motion: int) -> FloatArray:
+    """(2 + motion, size) that takes the mean place and the motion from all parameters."""
+    count = len(frame_set.problems)
+    selector = np.zeros((2 + motion, size))
+    for index in range(count):
+        selector[0, FRAME_PARAMETERS * index] = selector[1, FRAME_PARAMETERS * index + 1] = 1 / count
+    selector[2:, size - motion :] = np.eye(motion)
+    return selector

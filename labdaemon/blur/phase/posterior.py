@@ -1,0 +1,125 @@
+"""What is known of a standing motion once its phase has been tried all round: each phase by its chance.
+
+Where the phase shows well the linear covariance of the fit holds. Where it hardly does (far below a pixel) the phase
+may be anywhere along a valley, and the covariance is that of all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.in_phase import PhaseProfile
+
+LINEAR_PHASE_SD_RAD = 0.12  # deviation of the phase up to which the linear covariance holds
+PHASE_COUNT = 256  # phases over which the chances are summed
+RIVAL_COST = 9.0  # difference of squared residuals below which another solution may be the true one
+BARRIER_COST = 16.0  # and the height between two of them from which they are two
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InPhaseMotion:
+    """A standing motion v·sin(ωt + ψ).
+
+    Attributes
+    ----------
+    axis, axis_covariance
+        (4,) and (4, 4) x, y, vx, vy, whatever the phase.
+    value, covariance
+        (6,) and (6, 6) x, y, ax, ay, bx, by: the same in terms of the phase.
+    phase_unresolved
+        Whether the phase shows less well than its circle is straight.
+    """
+
+    axis: FloatArray
+    axis_covariance: FloatArray
+    value: FloatArray
+    covariance: FloatArray
+    phase_unresolved: bool = False
+
+
+def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> InPhaseMotion:
+    """The motion and its covariance over all phases.
+
+    Parameters
+    ----------
+    profile
+        Costs at all phases.
+    p, covariance
+        (5,) and (5, 5) x, y, vx, vy, ψ of the best solution and their linear covariance.
+    """
+    phases, probability, others = phase_posterior(profile)
+    value = in_phase_vectors(p[None])[0]
+    scatter = 2 * float(probability @ (1 - np.cos(phases - p[4])))
+    if max(covariance[4, 4], scatter) < LINEAR_PHASE_SD_RAD**2:
+        c, s, v = np.cos(p[4]), np.sin(p[4]), p[2:4]
+        jacobian = np.zeros((6, 5))
+        jacobian[:, :4] = _vector_jacobian(p[4])
+        jacobian[2:, 4] = np.concatenate((-s * v, c * v))
+        # The circle of phases leaves its tangent by half the square of the phase's deviation: less than the
+        # amplitude's own, or the tangents of two cameras would seem to cross at one phase.
+        along = v / max(float(np.hypot(*v)), 1e-12)
+        part = float(np.sqrt(along @ covariance[2:4, 2:4] @ along)) / max(float(np.hypot(*v)), 1e-12)
+        bent = bool(covariance[4, 4] > part)
+        return InPhaseMotion(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, bent)
+    at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / max(covariance[4, 4], 1e-12)
+    axis = probability @ others[:, :4]
+    total = _weighted_scatter(probability, in_phase_vectors(others) - value)
+    for weight, phase in zip(probability, phases, strict=True):
+        total += weight * _vector_jacobian(float(phase)) @ at_phase @ _vector_jacobian(float(phase)).T
+    return InPhaseMotion(axis, at_phase + _weighted_scatter(probability, others[:, :4] - axis), value, total, True)
+
+
+def _weighted_scatter(probability: FloatArray, away: FloatArray) -> FloatArray:
+    result: FloatArray = (probability * away.T) @ away
+    return result
+
+
+def _vector_jacobian(phase_rad: float) -> FloatArray:
+    """(6, 4) derivative of x, y, a, b by x, y, v."""
+    result = np.zeros((6, 4))
+    result[:2, :2] = np.eye(2)
+    result[2:4, 2:], result[4:, 2:] = np.cos(phase_rad) * np.eye(2), np.sin(phase_rad) * np.eye(2)
+    return result
+
+
+def in_phase_vectors(in_phase: FloatArray) -> FloatArray:
+    """(n, 6) x, y, ax, ay, bx, by of (n, 5) x, y, vx, vy, ψ."""
+    c, s = np.cos(in_phase[:, 4:]), np.sin(in_phase[:, 4:])
+    return np.concatenate((in_phase[:, :2], c * in_phase[:, 2:4], s * in_phase[:, 2:4]), axis=1)
+
+
+def phase_posterior(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(m,) phases finely, (m,) the chance of each, which sum to 1, and (m, 5) x, y, vx, vy, ψ there."""
+    at, table = profile.phase_rad, np.column_stack((profile.cost, profile.centre_px, profile.vector_px))
+    if profile.periodic:
+        at, table = np.append(at, at[0] + 2 * np.pi), np.vstack((table, table[:1]))
+        phases = np.linspace(at[0], at[-1], PHASE_COUNT + 1)[:-1]
+        values = CubicSpline(at, table, bc_type="periodic")(phases)
+    else:
+        # Over the sine of the phase at the middle of the exposure, which is all that the picture depends on.
+        phases = np.linspace(at[0], at[-1], PHASE_COUNT)
+        middle = (at[0] + at[-1]) / 2
+        sines = np.sin(at - middle)
+        values = PchipInterpolator(sines, table)(np.clip(np.sin(phases - middle), sines[0], sines[-1]))
+    probability = np.exp(-(values[:, 0] - values[:, 0].min()) / (2 * max(profile.best.chi2, 1.0)))
+    return phases, probability / probability.sum(), np.column_stack((values[:, 1:], phases))
+
+
+def is_bimodal(profile: PhaseProfile) -> bool:
+    """Whether two phases with a height between them cost the same; a profile that is low all round has but one.
+
+    A single frame's phase has its mirror image in time, which is another unless both are within its deviation.
+    """
+    if not profile.periodic:
+        middle = (profile.phase_rad[0] + profile.phase_rad[-1]) / 2
+        return bool(np.pi - 2 * abs(profile.phase - middle) > 3 * min(profile.sd_phase, LINEAR_PHASE_SD_RAD))
+    scale = max(profile.best.chi2, 1.0)
+    cost = (profile.cost - profile.cost.min()) / scale
+    cost = np.roll(cost, -int(np.argmin(cost)))
+    # Highest place on either way round from the lowest to each.
+    wall = np.minimum(np.maximum.accumulate(cost), np.maximum.accumulate(cost[::-1])[::-1])
+    return bool(np.any((cost < RIVAL_COST) & (wall > BARRIER_COST)))

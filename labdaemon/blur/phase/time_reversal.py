@@ -1,0 +1,52 @@
+"""A steady motion run through the other way: what frames of one part of the cycle cannot tell from it.
+
+A picture keeps no order of time. Run backwards from the middle of an exposure, the same path leaves the same smear:
+with μ the excitation's phase there, M = a·sin μ + b·cos μ the displacement and W = a·cos μ − b·sin μ the change,
+W → −W. Frames whose middles lie at the same phase, or half a cycle apart, all have the same image, and nothing but
+another phase tells which of the two it was.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.smear.frame_set import FrameSet
+
+SAME_MIDDLE_RAD = 0.05  # between middles, up to half a cycle, from which their images are tried each
+SAME_MOTION_FRACTION = 0.02  # of the motion's size by which another solution differs from it
+
+
+def mid_exposure_phase(frame_set: FrameSet, frame: int = 0) -> float:
+    """Excitation phase at the middle of an exposure, an unknown opening phase counting as 0."""
+    window = frame_set.windows[frame]
+    return (window.phase_rad or 0.0) + np.pi * window.cycles
+
+
+def reverse_time(a: FloatArray, b: FloatArray, middle_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Vectors a and b of the motion run backwards from a phase, each (2,)."""
+    c, s = np.cos(middle_rad), np.sin(middle_rad)
+    there, change = a * s + b * c, a * c - b * s
+    return there * s - change * c, there * c + change * s
+
+
+def time_reversed_solutions(frame_set: FrameSet, a: FloatArray, b: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """The mirror images of a motion in its frames, that differ from it and from each other."""
+    middles: list[float] = []
+    for frame in range(len(frame_set.windows)):
+        middle = mid_exposure_phase(frame_set, frame)
+        if all(abs(np.sin(middle - one)) > SAME_MIDDLE_RAD for one in middles):
+            middles.append(middle)
+    pairs = [reverse_time(a, b, middle) for middle in middles]
+    return [pair for pair in pairs if differ(a, b, *pair)]
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The angle within half a turn of 0."""
+    return float((angle_rad + np.pi) % (2 * np.pi) - np.pi)
+
+
+def differ(a: FloatArray, b: FloatArray, other_a: FloatArray, other_b: FloatArray) -> bool:
+    """Whether two motions differ by more than rounding and noise."""
+    away = np.concatenate((other_a - a, other_b - b))
+    return float(np.linalg.norm(away)) > SAME_MOTION_FRACTION * float(np.linalg.norm(np.concatenate((a, b))))

@@ -1,0 +1,210 @@
+"""Models of motion seen through known windows: one or several frames, each frame's mean position its own.
+
+The parameters are x, y and extra blur of each frame, then the shape's, then the motion's: the vector v of a standing
+motion v·sin(ωt + ψ) at a held phase ψ, the same with its phase, or the vectors a and b of an orbit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from labdaemon.blur.motion import Defocus, ExposureWindow
+from labdaemon.blur.patch.colour_planes import ColourPlanes
+from labdaemon.blur.patch.illumination import paper_level
+from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
+from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.sharp.weights import pixel_weights, shape_precision
+from labdaemon.blur.smear.forward_model import FitProblem, TransferFunction, forward_model
+from labdaemon.blur.solver.reduced_equations import Prior, Solution
+from labdaemon.blur.solver.solve import DarknessModel
+from labdaemon.blur.waveform import in_phase_transfer, quadrature_transfer, window_nodes
+
+FRAME_PARAMETERS = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's
+
+TransferFactory = Callable[[FloatArray, FloatArray], TransferFunction]
+"""From the nodes of a frame's window (2, K) and their weights (K,) to the motion's transfer function."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSet:
+    """A target in the frames that are measured together.
+
+    Attributes
+    ----------
+    sharp
+        The target at rest.
+    problems, windows, blurs
+        One of each a frame.
+    planes
+        All frames' pixels.
+    """
+
+    sharp: SharpTarget
+    problems: list[FitProblem]
+    windows: list[ExposureWindow]
+    blurs: list[Defocus]
+    planes: ColourPlanes
+
+    @classmethod
+    def from_problems(
+        cls, sharp: SharpTarget, problems: list[FitProblem], windows: Sequence[ExposureWindow], blurs: Sequence[Defocus]
+    ) -> FrameSet:
+        """Put frames together."""
+        return cls(sharp, problems, list(windows), list(blurs), stack_planes([s.planes for s in problems]))
+
+    @property
+    def shape_count(self) -> int:
+        """How many parameters the target's shape has."""
+        return self.problems[0].shape_count
+
+    @property
+    def first_motion(self) -> int:
+        """Place of the first parameter of the motion."""
+        return FRAME_PARAMETERS * len(self.problems) + self.shape_count
+
+    def weights(self, signal: FloatArray) -> FloatArray:
+        """Inverse variances of all pixels by the modelled values."""
+        return pixel_weights(self.sharp, self.planes)(signal)
+
+    def prior(self, motion_count: int) -> Prior:
+        """Defocus from the controls, shape from the sharp frame; nothing is known of places and motion."""
+        k, shape = self.shape_count, slice(self.first_motion - self.shape_count, self.first_motion)
+        size = self.first_motion + motion_count
+        precision, mean = np.zeros((size, size)), np.zeros(size)
+        for index, blur in enumerate(self.blurs):
+            precision[FRAME_PARAMETERS * index + 2, FRAME_PARAMETERS * index + 2] = 1 / max(blur.sd_px2, 1e-4) ** 2
+            mean[FRAME_PARAMETERS * index + 2] = blur.mean_px2
+        if k:
+            precision[shape, shape] = shape_precision(self.sharp)
+        return Prior(mean, precision)
+
+    def initial_parameters(self, a: FloatArray, b: FloatArray, motion: FloatArray) -> FloatArray:
+        """Parameters to start from; a smear's middle is the mean place plus what the window adds to it."""
+        frames = []
+        for problem, window, blur in zip(self.problems, self.windows, self.blurs, strict=True):
+            basis, weight = window_nodes(window, 3.0)
+            place = problem.initial_centre_px - a * (basis[0] @ weight) - b * (basis[1] @ weight)
+            frames += [*place, blur.mean_px2]
+        return np.concatenate((frames, np.zeros(self.shape_count), motion))
+
+    def forward_model(self, transfer_factory: TransferFactory, max_amplitude_px: float) -> DarknessModel:
+        """Darkness of all frames' pixels and its derivatives.
+
+        Parameters
+        ----------
+        transfer_factory
+            The kind of motion: `window_orbit_transfer`, `window_in_phase_transfer` or `window_fixed_phase_transfer(ψ)`.
+        max_amplitude_px
+            Largest amplitude to be represented.
+        """
+        count, lattices = len(self.problems), len(self.problems[0].planes.channel)
+        shape = self.planes.values.shape
+        models = [
+            forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)))
+            for problem, window in zip(self.problems, self.windows, strict=True)
+        ]
+
+        def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+            dark, by_p = np.zeros(shape), np.zeros((len(p), *shape))
+            for index, (one, problem) in enumerate(zip(models, self.problems, strict=True)):
+                own = np.concatenate(
+                    (
+                        p[FRAME_PARAMETERS * index : FRAME_PARAMETERS * index + FRAME_PARAMETERS],
+                        p[FRAME_PARAMETERS * count :],
+                    )
+                )
+                image, slopes = one(own)
+                rows = slice(lattices * index, lattices * (index + 1))
+                _, height, width = problem.planes.values.shape
+                dark[rows, :height, :width] = image
+                by_p[FRAME_PARAMETERS * index : FRAME_PARAMETERS * index + FRAME_PARAMETERS, rows, :height, :width] = (
+                    slopes[:FRAME_PARAMETERS]
+                )
+                by_p[FRAME_PARAMETERS * count :, rows, :height, :width] = slopes[FRAME_PARAMETERS:]
+            return dark, by_p
+
+        return models[0] if count == 1 else model
+
+    def with_fixed_shape(self) -> FrameSet:
+        """The same with the target's shape held."""
+        return replace(
+            self, problems=[replace(one, rest_spectra=one.rest_spectra.fixed_shape) for one in self.problems]
+        )
+
+
+def window_orbit_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:
+    """Motion by (ax, ay, bx, by)."""
+    return partial(_orbit_at_nodes, basis=basis, weight=weight)
+
+
+def window_in_phase_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:
+    """Standing motion by (vx, vy, ψ)."""
+    return partial(_in_phase_at_nodes, basis=basis, weight=weight)
+
+
+def window_fixed_phase_transfer(phase_rad: float) -> TransferFactory:
+    """Standing motion by (vx, vy) at a held phase."""
+
+    def motion(basis: FloatArray, weight: FloatArray) -> TransferFunction:
+        waveform = np.cos(phase_rad) * basis[0] + np.sin(phase_rad) * basis[1]
+        return partial(_orbit_at_nodes, basis=waveform[None], weight=weight)
+
+    return motion
+
+
+def _orbit_at_nodes(
+    fx: FloatArray, fy: FloatArray, vectors: FloatArray, *, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    return quadrature_transfer(fx, fy, vectors, basis, weight)
+
+
+def _in_phase_at_nodes(
+    fx: FloatArray, fy: FloatArray, motion: FloatArray, *, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    return in_phase_transfer(fx, fy, motion, basis, weight)
+
+
+def stack_planes(parts: list[ColourPlanes]) -> ColourPlanes:
+    """Patches of several frames as one, each lattice keeping its own place; smaller ones are padded with nothing."""
+    if len(parts) == 1:
+        return parts[0]
+    height = max(p.values.shape[1] for p in parts)
+    width = max(p.values.shape[2] for p in parts)
+    values, valid, offsets = [], [], []
+    origin = parts[0].origin_px
+    for p in parts:
+        pad = ((0, 0), (0, height - p.values.shape[1]), (0, width - p.values.shape[2]))
+        values.append(np.pad(p.values, pad))
+        valid.append(np.pad(p.valid, pad))
+        offsets.append(p.offset_px + (np.asarray(p.origin_px) - np.asarray(origin)))
+    channel = np.concatenate([p.channel for p in parts])
+    return ColourPlanes(
+        np.concatenate(values), np.concatenate(valid), channel, np.concatenate(offsets), parts[0].period, origin
+    )
+
+
+def timing_covariance(best: Solution, frame_set: FrameSet, transfer_factory: TransferFactory) -> FloatArray:
+    """Covariance that the windows' phase and length uncertainties add, by finite differences of the model."""
+    size = len(best.p)
+    total = np.zeros((size, size))
+    windows = frame_set.windows
+    if all(window.sd_phase_rad <= 0 and window.sd_exposure_s <= 0 for window in windows):
+        return total
+    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[frame_set.first_motion :]))
+    base, _ = frame_set.forward_model(transfer_factory, reach)(best.p)
+    level = paper_level(frame_set.planes, best.light) * best.light[:, 3, None, None]
+    for index, window in enumerate(windows):
+        later = replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad)
+        longer = replace(window, exposure_s=window.exposure_s + window.sd_exposure_s)
+        for other, sd in ((later, window.sd_phase_rad), (longer, window.sd_exposure_s)):
+            if sd <= 0:
+                continue
+            changed = replace(frame_set, windows=[*windows[:index], other, *windows[index + 1 :]])
+            moved, _ = changed.forward_model(transfer_factory, reach)(best.p)
+            shift = np.einsum("knhw,nhw->k", best.influence, -level * (moved - base))
+            total += np.outer(shift, shift)
+    return total

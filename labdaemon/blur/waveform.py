@@ -1,0 +1,169 @@
+"""Displacement over the exposure as nodes in time, for whatever is not a sinusoid over whole cycles.
+
+A blur is the mean over time of the displaced picture, so any motion is a sum over instants t_k with weights w_k:
+H(f) = Σ w_k exp(−2πi f·d(t_k)), d(t_k) = Σ_j v_j B_j(t_k), with the vectors v_j to be fitted and known functions B_j.
+The exponential factors into x and y, so the sum is a product of two small matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labdaemon.blur.motion import ExposureWindow
+from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
+from labdaemon.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionWaveform:
+    """A declared course of the displacement over the exposure; the fit finds the vector that multiplies it.
+
+    Attributes
+    ----------
+    displacement
+        (K,) dimensionless, mean over the exposure 0; its largest excursion, half peak to peak, is 1.
+    weight
+        (K,) part of the exposure spent there; sums to 1.
+    """
+
+    displacement: FloatArray
+    weight: FloatArray
+
+    @staticmethod
+    def _from_samples(values: FloatArray, weight: FloatArray) -> MotionWaveform:
+        max_amplitude = float(np.ptp(values)) / 2
+        if not np.all(np.isfinite(values)) or max_amplitude <= 0:
+            raise UsageError("a displacement law must be finite and must move; check the record")
+        values = values / max_amplitude
+        return MotionWaveform(values - float(weight @ values), weight)
+
+    @classmethod
+    def harmonics(cls, amplitudes: Sequence[float], phases_rad: Sequence[float], *, nodes: int = 512) -> MotionWaveform:
+        """Σ_n A_n sin(nωt + φ_n) over whole cycles, n = 1, 2, 3 …
+
+        Raises
+        ------
+        UsageError
+            No amplitude, or not one phase for each.
+        """
+        if not amplitudes or len(amplitudes) != len(phases_rad):
+            raise UsageError("give one phase for each harmonic's amplitude")
+        angle = 2 * np.pi * (np.arange(nodes) + 0.5) / nodes
+        values = np.zeros(nodes)
+        for order, (amplitude, phase) in enumerate(zip(amplitudes, phases_rad, strict=True), start=1):
+            values += amplitude * np.sin(order * angle + phase)
+        return cls._from_samples(values, np.full(nodes, 1 / nodes))
+
+    @classmethod
+    def triangular(cls, *, nodes: int = 256) -> MotionWaveform:
+        """Constant speed to and fro: every place between the ends equally long (Gauss–Legendre nodes)."""
+        values, weight = np.polynomial.legendre.leggauss(nodes)
+        return cls(values, weight / 2)
+
+    @classmethod
+    def record(cls, values: Sequence[float] | FloatArray) -> MotionWaveform:
+        """A gauge's record over the exposure: equally spaced samples, any unit.
+
+        Raises
+        ------
+        UsageError
+            Fewer than eight samples, or no motion in them.
+        """
+        samples = np.asarray(values, dtype=np.float64)
+        if samples.ndim != 1 or samples.size < 8:
+            raise UsageError("a gauge's record needs at least eight samples over the exposure")
+        return cls._from_samples(samples, np.full(samples.size, 1 / samples.size))
+
+
+def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:
+    """Sin ωt and cos ωt at the nodes of an exposure, and their weights.
+
+    Whole cycles are evenly spaced nodes, the rest is Gauss–Legendre from the opening phase on.
+
+    Parameters
+    ----------
+    window
+        Its phase None counts as 0.
+    max_amplitude_px
+        Largest amplitude to be represented; the nodes must resolve π·reach radians of phase.
+
+    Returns
+    -------
+    basis, weight
+        (2, K) sin and cos; (K,).
+    """
+    cycles = window.cycles
+    phase = window.phase_rad if window.phase_rad is not None else 0.0
+    whole = int(np.floor(cycles + 1e-9))
+    rest = max(cycles - whole, 0.0)
+    angles: list[FloatArray] = []
+    weights: list[FloatArray] = []
+    if whole:
+        count = 24 + int(4.5 * max_amplitude_px)
+        angles.append(phase + 2 * np.pi * np.arange(count) / count)
+        weights.append(np.full(count, whole / cycles / count))
+    if rest > 1e-6:
+        nodes, weight = np.polynomial.legendre.leggauss(16 + int(3.5 * max_amplitude_px * min(1.0, 0.3 + rest)))
+        angles.append(phase + np.pi * rest * (nodes + 1))
+        weights.append(weight / 2 * rest / cycles)
+    angle = np.concatenate(angles)
+    return np.stack((np.sin(angle), np.cos(angle))), np.concatenate(weights)
+
+
+def quadrature_transfer(
+    fx: FloatArray, fy: FloatArray, vectors: FloatArray, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Transfer function Σ w_k exp(−2πi f·d_k) and its derivatives.
+
+    Parameters
+    ----------
+    fx, fy
+        (rows, columns) of a grid: fx depends on the column only, fy on the row only.
+    vectors
+        (2J,) x and y of each fitted vector.
+    basis, weight
+        (J, K) and (K,).
+
+    Returns
+    -------
+    transfer, derivatives
+        (rows, columns) and (2J, rows, columns).
+    """
+    pairs = vectors.reshape(-1, 2)
+    path = pairs.T @ basis
+    along_x = np.exp(-2j * np.pi * path[0][:, None] * fx[:1])
+    along_y = np.exp(-2j * np.pi * fy[:, :1] * path[1][None, :]) * weight
+    transfer = along_y @ along_x
+    derivatives = np.empty((2 * len(pairs), *fx.shape), dtype=np.complex128)
+    for row, values in enumerate(basis):
+        moment = -2j * np.pi * ((along_y * values) @ along_x)
+        derivatives[2 * row] = fx * moment
+        derivatives[2 * row + 1] = fy * moment
+    return transfer, derivatives
+
+
+def in_phase_transfer(
+    fx: FloatArray, fy: FloatArray, motion: FloatArray, basis: FloatArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Transfer function of a standing motion v·sin(ωt + ψ) at nodes, and its derivatives by vx, vy and ψ.
+
+    Parameters
+    ----------
+    fx, fy
+        As for `quadrature_transfer`.
+    motion
+        (3,) vx, vy (px) and ψ (rad).
+    basis, weight
+        (2, K) sin ωt and cos ωt; (K,).
+    """
+    turn = np.array([[np.cos(motion[2]), np.sin(motion[2])], [-np.sin(motion[2]), np.cos(motion[2])]])
+    waveform = turn @ basis
+    along_x = np.exp(-2j * np.pi * motion[0] * waveform[0][:, None] * fx[:1])
+    along_y = np.exp(-2j * np.pi * motion[1] * fy[:, :1] * waveform[0][None, :]) * weight
+    moment = -2j * np.pi * ((along_y * waveform[0]) @ along_x)
+    later = -2j * np.pi * ((along_y * waveform[1]) @ along_x)
+    by_phase = (motion[0] * fx + motion[1] * fy) * later
+    return along_y @ along_x, np.stack((fx * moment, fy * moment, by_phase))
