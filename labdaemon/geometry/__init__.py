@@ -1,34 +1,40 @@
 """Pixels to millimetres and back: lenses, camera orientation, intersection, adjustment. Arrays in, arrays out."""
 
-from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
-from labdaemon.geometry.join import Joined, JoinedTargets, join, join_targets, settle_by_continuity
+from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motion
+from labdaemon.geometry.joint_orientation import ControlPoint, ImageObservation, JointOrientation, orient_jointly
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
 from labdaemon.geometry.orient import Orientation, orient
-from labdaemon.geometry.plane import Plane, fit_plane, motion_on_plane, seen_unmoved
-from labdaemon.geometry.together import ControlPoint, Sighting, Together, orient_together
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
+from labdaemon.geometry.plane import Plane, compensate_camera_motion, fit_plane, map_motion_to_plane
+from labdaemon.geometry.space_intersection import (
+    IntersectedMotion,
+    IntersectedTargets,
+    intersect_motion,
+    intersect_targets,
+    resolve_ambiguous_targets,
+)
 
 __all__ = [
     "CameraMotion",
     "ControlPoint",
     "ImageMotion",
-    "Joined",
-    "JoinedTargets",
+    "ImageObservation",
+    "IntersectedMotion",
+    "IntersectedTargets",
+    "JointOrientation",
     "Lens",
     "ObjectMotion",
     "Orientation",
+    "OrientedCamera",
     "Plane",
-    "Sighting",
-    "Together",
-    "View",
-    "camera_motion",
+    "compensate_camera_motion",
+    "estimate_camera_motion",
     "fit_plane",
-    "join",
-    "join_targets",
-    "motion_on_plane",
+    "intersect_motion",
+    "intersect_targets",
+    "map_motion_to_plane",
     "orient",
-    "orient_together",
-    "seen_unmoved",
-    "settle_by_continuity",
+    "orient_jointly",
+    "resolve_ambiguous_targets",
 ]

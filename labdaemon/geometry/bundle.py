@@ -16,7 +16,7 @@ from scipy import sparse
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.network import Network, check_network
-from labdaemon.geometry.normal import Linear, Normal, form_normal, linearise, moved
+from labdaemon.geometry.normal_equations import LinearisedNetwork, NormalEquations, apply_change, form_normal, linearise
 
 _CHUNK = 4000  # sightings or points whose dense rows are held at once
 
@@ -55,8 +55,8 @@ class Adjustment:
     observations: int
     iterations: int
     cofactor: FloatArray
-    _linear: Linear
-    _normal: Normal
+    _linear: LinearisedNetwork
+    _normal: NormalEquations
     _inverse: FloatArray
 
     @property
@@ -104,7 +104,7 @@ class Adjustment:
         sighting's redundancy.
         """
         network, linear = self.network, self._linear
-        count, size = len(network.picture), self._inverse.shape[0]
+        count, size = len(network.image), self._inverse.shape[0]
         by_point = linear.by_point
         result = by_point @ self._normal.inverse_v[network.point] @ np.swapaxes(by_point, 1, 2)
         width = linear.by_camera.shape[1]
@@ -123,7 +123,7 @@ class Adjustment:
         return result
 
 
-def adjust(network: Network, *, names: Sequence[str] | None = None, most_steps: int = 60) -> Adjustment:
+def adjust_network(network: Network, *, names: Sequence[str] | None = None, max_steps: int = 60) -> Adjustment:
     """Adjust a network by Levenberg–Marquardt to the last digit.
 
     Parameters
@@ -132,7 +132,7 @@ def adjust(network: Network, *, names: Sequence[str] | None = None, most_steps: 
         Observations and starting values (`labdaemon.geometry.network`).
     names
         (p,) names of the points for messages; their numbers by default.
-    most_steps
+    max_steps
         Give up after so many.
 
     Returns
@@ -152,29 +152,29 @@ def adjust(network: Network, *, names: Sequence[str] | None = None, most_steps: 
     cost = linear.cost(network)
     if not np.isfinite(cost):
         raise DataError("the starting values put points behind a camera or outside its lens model")
-    damping, steps, settled = 1e-4, 0, False
-    while steps < most_steps and not settled:
+    damping, steps, converged = 1e-4, 0, False
+    while steps < max_steps and not converged:
         steps += 1
         normal = form_normal(network, linear, damping)
         cameras, points = normal.solve()
-        trial = moved(network, cameras, points)
+        trial = apply_change(network, cameras, points)
         there = linearise(trial, surveyed)
         value = there.cost(trial)
         # A last gain of 1e-10 is a change of the unknowns by a hundred-thousandth of their standard deviation.
-        settled = damping <= 1e-3 and abs(cost - value) <= 1e-10 * cost + 1e-14 * len(network.picture)
-        if value <= cost or (settled and np.isfinite(value)):
+        converged = damping <= 1e-3 and abs(cost - value) <= 1e-10 * cost + 1e-14 * len(network.image)
+        if value <= cost or (converged and np.isfinite(value)):
             network, linear, cost, damping = trial, there, value, max(damping * 0.05, 1e-12)
         elif damping > 1e8:
             break
         else:
             damping *= 20.0
-    if not settled:
+    if not converged:
         raise DataError(f"the adjustment did not converge in {steps} steps: check the starting values and identities")
     normal = form_normal(network, linear)
     inverse = normal.cofactor()
     cameras_count = linear.by_camera.shape[1]
     known = (network.survey_sd > 0) & np.isfinite(network.survey_sd)
-    observations = 2 * len(network.picture) + int(known.sum()) + len(network.bars)
+    observations = 2 * len(network.image) + int(known.sum()) + len(network.bars)
     unknowns = cameras_count + int((network.survey_sd > 0).sum())
     freedom = observations + (len(linear.extra_diagonal) - len(network.bars)) - unknowns
     if freedom < 0:

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from labdaemon.errors import DataError
+from labdaemon.geometry.data_snooping import RobustPointAdjustment, exclusion_reason
 from labdaemon.geometry.motion import FloatArray
-from labdaemon.geometry.snoop import PointProblem, reason
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
 POSITION_PRIOR_MM = 1.0
 """How far a camera on a tripod may creep: few control targets cannot tell a small shift from a small turn."""
-MOVED_PX = 1.0
+MIN_SHIFT_PX = 1.0
 """Shift of the control targets from which a frame counts as moved. Less is corrected and harms nothing."""
-SWAPPED_SIGMA0 = 10.0
+MAX_SIGMA0 = 10.0
 """Residuals this many times their standard deviation: the frame is not from this camera."""
 
 
@@ -28,7 +28,7 @@ class CameraMotion:
 
     Attributes
     ----------
-    view
+    camera
         The camera as it stood in the other frame; its covariance includes this estimate's.
     change, covariance
         (6,) change of the exterior parameters (rotation vector in camera axes, rad; position, mm) and its (6, 6)
@@ -38,14 +38,14 @@ class CameraMotion:
     rms_px
         Root mean square length of their shifts, as the camera's motion explains them.
     moved
-        True when `rms_px` is significant and above `MOVED_PX`.
+        True when `rms_px` is significant and above `MIN_SHIFT_PX`.
     excluded
         Control targets whose shift does not fit the others', with the reason.
     sigma0
         Standard deviation of unit weight.
     """
 
-    view: View
+    camera: OrientedCamera
     change: FloatArray
     covariance: FloatArray
     shift_px: FloatArray
@@ -55,8 +55,8 @@ class CameraMotion:
     sigma0: float
 
 
-def camera_motion(
-    view: View,
+def estimate_camera_motion(
+    camera: OrientedCamera,
     object_mm: FloatArray,
     sharp_px: FloatArray,
     blurred_px: FloatArray,
@@ -68,7 +68,7 @@ def camera_motion(
 
     Parameters
     ----------
-    view
+    camera
         The camera as oriented on the sharp frame.
     object_mm
         (n, 3) control targets.
@@ -92,25 +92,25 @@ def camera_motion(
     count = len(names)
     if count < 2:
         nothing = np.zeros(6)
-        return CameraMotion(view, nothing, np.zeros((6, 6)), np.zeros(2), 0.0, False, {}, float("nan"))
+        return CameraMotion(camera, nothing, np.zeros((6, 6)), np.zeros(2), 0.0, False, {}, float("nan"))
     shifts = np.asarray(blurred_px, dtype=float) - np.asarray(sharp_px, dtype=float)
     sd = np.broadcast_to(np.asarray(sd_px, dtype=float), (count,))
     noise = (sd**2)[:, None, None] * np.eye(2)
-    still = view.project(object_mm)
+    still = camera.project(object_mm)
 
     def linearise(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        computed, _, by_exterior = view.moved(change).project_with_jacobians(object_mm)
+        computed, _, by_exterior = camera.apply_change(change).project_with_jacobians(object_mm)
         return shifts - (computed - still), noise, by_exterior
 
     prior = np.array([0.0, 0.0, 0.0, *[POSITION_PRIOR_MM**-2.0] * 3])
-    problem = PointProblem(linearise, np.add, prior)
+    problem = RobustPointAdjustment(linearise, np.add, prior)
     # A shift common to all is nearly a pure rotation: start there, so that snooping sees what is left.
     start = problem.adjust(np.zeros(6), np.ones(count), robust=True)
-    change, used = problem.snoop(start, least=2)
+    change, used = problem.reject_outliers(start, min_points=2)
     residuals, squares = linearise(change)[0], problem.squares(change)
     freedom = max(2 * int(used.sum()) - 3, 1)
     sigma0 = float(np.sqrt(squares[used].sum() / freedom))
-    if not used.sum() > count / 2 or (sigma0 > SWAPPED_SIGMA0 and np.abs(residuals[used]).max() > 5.0):
+    if not used.sum() > count / 2 or (sigma0 > MAX_SIGMA0 and np.abs(residuals[used]).max() > 5.0):
         listing = ", ".join(f"{name} {np.hypot(*v):.1f} px" for name, v in zip(names, shifts, strict=True))
         raise DataError(
             f"the control targets shifted from the sharp frame as no motion of the camera explains ({listing}): "
@@ -121,19 +121,19 @@ def camera_motion(
         covariance = covariance * sigma0**2
     explained = (shifts - residuals)[used]
     rms = float(np.sqrt(np.mean(np.sum(explained**2, axis=1))))
-    moved_view = view.moved(change)
+    moved_view = camera.apply_change(change)
     return CameraMotion(
-        replace(moved_view, covariance=view.covariance + covariance),
+        replace(moved_view, covariance=camera.covariance + covariance),
         change,
         covariance,
         shifts[used].mean(axis=0),
         rms,
-        _moved(rms, sd[used]),
-        {names[i]: reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()},
+        _is_significant(rms, sd[used]),
+        {names[i]: exclusion_reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()},
         sigma0,
     )
 
 
-def _moved(rms_px: float, sd_px: NDArray[np.float64]) -> bool:
+def _is_significant(rms_px: float, sd_px: NDArray[np.float64]) -> bool:
     """Tell a shift that matters from noise."""
-    return bool(rms_px > max(MOVED_PX, 5.0 * float(np.sqrt(np.mean(sd_px**2)))))
+    return bool(rms_px > max(MIN_SHIFT_PX, 5.0 * float(np.sqrt(np.mean(sd_px**2)))))

@@ -22,24 +22,26 @@ import numpy as np
 
 from labdaemon.geometry.motion import FloatArray, ObjectMotion
 
-ODDS = 100.0
+MIN_ODDS = 100.0
 """How much likelier the chosen solution must be."""
-FEWEST_WITNESSES = 5
+MIN_NEIGHBOURS = 5
 """Settled targets needed to describe a population of motions."""
-SMOOTH = 3.0
+CONTINUITY_RATIO = 3.0
 """How many times further from the neighbours' vector the other solution must lie."""
-_BREADTH = 0.1  # of the rms vector: no population is known more closely than this in any direction
+_MIN_SPREAD = 0.1  # of the rms vector: no population is known more closely than this in any direction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Witness:
+class ResolvedNeighbour:
     """A settled target: (3,) place and (3,) vector, mm."""
 
     place_mm: FloatArray
     vector_mm: FloatArray
 
 
-def choose(options: tuple[ObjectMotion, ObjectMotion], evidence: float, witnesses: Sequence[Witness]) -> int | None:
+def resolve_by_neighbours(
+    options: tuple[ObjectMotion, ObjectMotion], evidence: float, neighbours: Sequence[ResolvedNeighbour]
+) -> int | None:
     """Pick one of two solutions.
 
     Parameters
@@ -48,7 +50,7 @@ def choose(options: tuple[ObjectMotion, ObjectMotion], evidence: float, witnesse
         The two, at the same place.
     evidence
         Logarithm of the odds for the first from the residuals alone.
-    witnesses
+    neighbours
         Settled targets of the same member (of all members where none is known), nearest first.
 
     Returns
@@ -57,44 +59,46 @@ def choose(options: tuple[ObjectMotion, ObjectMotion], evidence: float, witnesse
         0 or 1; None when the witnesses do not tell.
     """
     here = options[0].mean_mm
-    smooth = _continues(options, witnesses[:3], here)
-    like = _resembles(options, evidence, witnesses, here)
+    smooth = _continuing_solution(options, neighbours[:3], here)
+    like = _similar_solution(options, evidence, neighbours, here)
     if smooth is not None and like is not None and smooth != like:
         return None
     return smooth if smooth is not None else like
 
 
-def _continues(options: tuple[ObjectMotion, ObjectMotion], near: Sequence[Witness], here: FloatArray) -> int | None:
+def _continuing_solution(
+    options: tuple[ObjectMotion, ObjectMotion], near: Sequence[ResolvedNeighbour], here: FloatArray
+) -> int | None:
     """Solution that lies close to the nearest neighbours' vector while the other does not."""
     if len(near) < 2:
         return None
-    vectors = np.stack([witness.vector_mm for witness in near])
+    vectors = np.stack([neighbour.vector_mm for neighbour in near])
     vectors = vectors * np.where(vectors @ vectors[0] >= 0, 1.0, -1.0)[:, None]
     weights = np.array([1.0 / max(float(np.linalg.norm(w.place_mm - here)), 1e-6) for w in near])
     expected = weights @ vectors / weights.sum()
     spread = float(np.linalg.norm(vectors - expected, axis=1).max())
     misses = [float(min(np.linalg.norm(o.a_mm - expected), np.linalg.norm(o.a_mm + expected))) for o in options]
     best = int(np.argmin(misses))
-    return best if misses[1 - best] > SMOOTH * max(misses[best], spread) else None
+    return best if misses[1 - best] > CONTINUITY_RATIO * max(misses[best], spread) else None
 
 
-def _resembles(
-    options: tuple[ObjectMotion, ObjectMotion], evidence: float, near: Sequence[Witness], here: FloatArray
+def _similar_solution(
+    options: tuple[ObjectMotion, ObjectMotion], evidence: float, near: Sequence[ResolvedNeighbour], here: FloatArray
 ) -> int | None:
     """Solution that moves as the others do while the other one does not."""
-    if len(near) < FEWEST_WITNESSES:
+    if len(near) < MIN_NEIGHBOURS:
         return None
-    vectors = np.stack([witness.vector_mm for witness in near])
-    distances = np.array([float(np.linalg.norm(witness.place_mm - here)) for witness in near])
+    vectors = np.stack([neighbour.vector_mm for neighbour in near])
+    distances = np.array([float(np.linalg.norm(neighbour.place_mm - here)) for neighbour in near])
     weights = 1.0 / (1.0 + (distances / max(float(np.median(distances)), 1e-6)) ** 2)
     count = float(weights.sum() ** 2 / np.sum(weights**2))
     moment = np.einsum("n,ni,nj->ij", weights, vectors, vectors) / weights.sum()
-    moment += _BREADTH**2 * float(np.trace(moment)) * np.eye(3)
+    moment += _MIN_SPREAD**2 * float(np.trace(moment)) * np.eye(3)
     inverse = np.linalg.inv(moment)
-    unlike = [float(option.a_mm @ inverse @ option.a_mm) for option in options]
-    odds = evidence + 0.5 * (count + 3.0) * float(np.log1p(unlike[1] / count) - np.log1p(unlike[0] / count))
-    if abs(odds) < np.log(ODDS):
+    distances2 = [float(option.a_mm @ inverse @ option.a_mm) for option in options]
+    odds = evidence + 0.5 * (count + 3.0) * float(np.log1p(distances2[1] / count) - np.log1p(distances2[0] / count))
+    if abs(odds) < np.log(MIN_ODDS):
         return None
     best = 0 if odds > 0 else 1
     # Something that nobody does either is not believed for being less strange than its rival.
-    return best if unlike[best] < 9.0 else None
+    return best if distances2[best] < 9.0 else None

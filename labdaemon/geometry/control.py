@@ -9,9 +9,9 @@ import numpy as np
 
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
-SMALLEST_EXTENT_MM = 20.0
+MIN_EXTENT_MM = 20.0
 """Control spread over less than this cannot be a rig in millimetres: targets alone are that large."""
 
 _UNITS = {0.001: "metres", 0.01: "centimetres", 0.1: "decimetres", 1 / 25.4: "inches", 1000.0: "micrometres"}
@@ -55,7 +55,7 @@ def check_control(names: Sequence[str], image_px: FloatArray, object_mm: FloatAr
         raise DataError("a control target has no number for a pixel or a coordinate")
     _, spread, _ = np.linalg.svd(object_mm - object_mm.mean(axis=0))
     extent = float(np.ptp(object_mm, axis=0).max())
-    if extent < SMALLEST_EXTENT_MM:
+    if extent < MIN_EXTENT_MM:
         raise DataError(
             f"the control targets in view span only {extent:.3g} mm: the survey looks as if given in metres; "
             "write it in millimetres"
@@ -82,12 +82,12 @@ def check_volume(object_mm: FloatArray, sd_object_mm: FloatArray) -> None:
         )
 
 
-def check_scale(view: View, object_mm: FloatArray, side_px: FloatArray, side_mm: float) -> None:
+def check_scale(camera: OrientedCamera, object_mm: FloatArray, side_px: FloatArray, side_mm: float) -> None:
     """Compare the scale that the survey gives with the one that the targets' own size gives.
 
     Parameters
     ----------
-    view
+    camera
         The camera as oriented on the survey.
     object_mm
         (n, 3) surveyed centres.
@@ -100,8 +100,8 @@ def check_scale(view: View, object_mm: FloatArray, side_px: FloatArray, side_mm:
     DataError
         They disagree by more than a factor of two; the message names the unit that would explain it.
     """
-    depth = view.in_camera(object_mm)[:, 2]
-    from_size = side_mm * np.mean(view.lens.focal_px) / np.asarray(side_px, dtype=float)
+    depth = camera.to_camera_axes(object_mm)[:, 2]
+    from_size = side_mm * np.mean(camera.lens.focal_px) / np.asarray(side_px, dtype=float)
     ratio = float(np.median(depth / from_size))
     if 0.5 < ratio < 2.0:
         return

@@ -19,13 +19,13 @@ from labdaemon.geometry.motion import FloatArray
 
 SIGNIFICANCE = 0.001
 """Chance that a set without gross errors loses a point (shared between its points)."""
-_CAUCHY = 6.0  # squared normalised residual (two coordinates) beyond which a point's pull fades
+_CAUCHY_SCALE2 = 6.0  # squared normalised residual (two coordinates) beyond which a point's pull fades
 
 State = TypeVar("State")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointProblem(Generic[State]):
+class RobustPointAdjustment(Generic[State]):
     """A fit of some state to points.
 
     Attributes
@@ -46,12 +46,12 @@ class PointProblem(Generic[State]):
 
     def cost(self, state: State) -> float:
         """Robust sum of squares over all points."""
-        return float(np.log1p(np.minimum(self.squares(state), 1e12) / _CAUCHY).sum())
+        return float(np.log1p(np.minimum(self.squares(state), 1e12) / _CAUCHY_SCALE2).sum())
 
     def squares(self, state: State) -> FloatArray:
         """(n,) squared residuals over their variance."""
         residuals, covariances, _ = self.linearise(state)
-        return normalised(residuals, covariances)
+        return squared_normalised_residuals(residuals, covariances)
 
     def adjust(self, state: State, weights: FloatArray, *, robust: bool = False, steps: int = 50) -> State:
         """Levenberg–Marquardt; `robust` reweights by Cauchy's function on the way."""
@@ -82,14 +82,16 @@ class PointProblem(Generic[State]):
     def _normal(self, state: State, weights: FloatArray, robust: bool) -> tuple[float, FloatArray, FloatArray] | None:
         """Cost, normal matrix and gradient; None when too few points can be seen."""
         residuals, covariances, jacobian = self.linearise(state)
-        squares = normalised(residuals, covariances)
+        squares = squared_normalised_residuals(residuals, covariances)
         usable = np.isfinite(squares) & (weights > 0)
         if self.prior is None and 2 * usable.sum() < jacobian.shape[2]:
             return None
         lost = 1e6 * float((weights > 0).sum() - usable.sum())  # a point behind the camera is no improvement
         squares = squares[usable]
-        weight = weights[usable] * (1.0 / (1.0 + squares / _CAUCHY) if robust else 1.0)
-        value = lost + float(np.sum(weights[usable] * (_CAUCHY * np.log1p(squares / _CAUCHY) if robust else squares)))
+        weight = weights[usable] * (1.0 / (1.0 + squares / _CAUCHY_SCALE2) if robust else 1.0)
+        value = lost + float(
+            np.sum(weights[usable] * (_CAUCHY_SCALE2 * np.log1p(squares / _CAUCHY_SCALE2) if robust else squares))
+        )
         whitened = np.linalg.solve(covariances[usable], jacobian[usable])
         normal = np.einsum("n,nij,nik->jk", weight, jacobian[usable], whitened)
         gradient = np.einsum("n,nij,ni->j", weight, whitened, residuals[usable])
@@ -119,14 +121,14 @@ class PointProblem(Generic[State]):
         result: FloatArray = np.linalg.inv(scaled) * np.outer(scale, scale)
         return result
 
-    def snoop(self, state: State, least: int) -> tuple[State, NDArray[np.bool_]]:
+    def reject_outliers(self, state: State, min_points: int) -> tuple[State, NDArray[np.bool_]]:
         """Fit without gross errors.
 
         Parameters
         ----------
         state
             A robust solution to start from.
-        least
+        min_points
             Number of points that must stay.
 
         Returns
@@ -140,8 +142,8 @@ class PointProblem(Generic[State]):
         # Pixels worse than stated must not cost points one after the other: judge against the typical residual.
         scale = float(np.clip(np.median(squares) / chi2.median(2), 1.0, 25.0))
         used: NDArray[np.bool_] = squares <= 10.0 * limit * scale
-        if used.sum() < least:
-            used = squares <= np.sort(squares)[least - 1]
+        if used.sum() < min_points:
+            used = squares <= np.sort(squares)[min_points - 1]
         for _ in range(2 * count):
             state = self.adjust(state, used.astype(float))
             residuals, covariances, jacobian = self.linearise(state)
@@ -149,19 +151,19 @@ class PointProblem(Generic[State]):
             # A used point has pulled the solution towards itself, an unused one has not.
             freed = covariances + np.where(used, -1.0, 1.0)[:, None, None] * spread
             floor = 1e-9 * np.trace(covariances, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-            tests = normalised(residuals, freed + floor)
+            tests = squared_normalised_residuals(residuals, freed + floor)
             wrong, fits = used & (tests > limit * scale), ~used & (tests <= limit * scale)
             used = used.copy()
             if fits.any():
                 used[np.flatnonzero(fits)[np.argmin(tests[fits])]] = True
-            elif wrong.any() and used.sum() > least:
+            elif wrong.any() and used.sum() > min_points:
                 used[np.flatnonzero(wrong)[np.argmax(tests[wrong])]] = False
             else:
                 break
         return state, used
 
 
-def normalised(residuals: FloatArray, covariances: FloatArray) -> FloatArray:
+def squared_normalised_residuals(residuals: FloatArray, covariances: FloatArray) -> FloatArray:
     """(n,) squared (n, 2) residuals over their (n, 2, 2) covariances; inf where a point cannot be seen."""
     xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     u, v = residuals[:, 0], residuals[:, 1]
@@ -170,7 +172,7 @@ def normalised(residuals: FloatArray, covariances: FloatArray) -> FloatArray:
     return cast(FloatArray, np.where(np.isfinite(squares) & (squares >= 0), squares, np.inf))
 
 
-def reason(residual_px: FloatArray, square: float) -> str:
+def exclusion_reason(residual_px: FloatArray, square: float) -> str:
     """Say why a control target was left out."""
     return (
         f"residual ({residual_px[0]:+.2f}, {residual_px[1]:+.2f}) px is {np.sqrt(square):.0f} times its standard "

@@ -29,7 +29,7 @@ def project_motion(project: Projector, motion: FloatArray) -> tuple[FloatArray, 
     Parameters
     ----------
     project
-        Maps points to pixels, with derivatives (`View.project_with_jacobians` is one).
+        Maps points to pixels, with derivatives (`OrientedCamera.project_with_jacobians` is one).
     motion
         (3, d): mean, a and b of ``d(t) = a sin(ωt) + b cos(ωt)`` about the mean, mm.
 
@@ -41,7 +41,7 @@ def project_motion(project: Projector, motion: FloatArray) -> tuple[FloatArray, 
     """
     dimension = motion.shape[1]
     pixels, by_point, by_other = project(_BASIS.T @ motion)
-    picture = (_WEIGHT @ pixels).reshape(6)
+    image = (_WEIGHT @ pixels).reshape(6)
     by_motion = np.einsum("hn,nij,kn->hikj", _WEIGHT, by_point, _BASIS).reshape(6, 3 * dimension)
     by_parameter = np.einsum("hn,nij->hij", _WEIGHT, by_other).reshape(6, -1)
-    return picture, by_motion, by_parameter
+    return image, by_motion, by_parameter

@@ -9,15 +9,15 @@ import numpy as np
 
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
-from labdaemon.geometry.view import View, rotation_from_vector
+from labdaemon.geometry.oriented_camera import OrientedCamera, rotation_from_vector
 
-MOST_TRIPLES = 120
-MOST_VIEWS = 6
-ROUGH_SLOPE = 0.002
+MAX_TRIPLES = 120
+MAX_CAMERAS = 6
+INITIAL_SLOPE_ERROR = 0.002
 """What a survey and a pixel may be off, as a ray's slope, for a start that deserves adjusting."""
 
 
-def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> list[View]:
+def initial_cameras(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> list[OrientedCamera]:
     """Views that three of the points fit exactly, and ones that fit all of them roughly.
 
     Parameters
@@ -40,20 +40,20 @@ def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> l
     origin = points.mean(axis=0)  # numbers of a site grid are large
     local = points - origin
     poses: list[tuple[FloatArray, FloatArray]] = []
-    for triple in _triples(len(seen)):
+    for triple in _sample_triples(len(seen)):
         index = list(triple)
-        if _area(slopes[index]) < 1e-9:
+        if _triangle_area(slopes[index]) < 1e-9:
             continue
         count, vectors, shifts = cv2.solveP3P(
             local[index].reshape(3, 1, 3), slopes[index].reshape(3, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_P3P
         )
-        poses += [(_floats(vectors[i]), _floats(shifts[i])) for i in range(count)]
+        poses += [(_flatten(vectors[i]), _flatten(shifts[i])) for i in range(count)]
     for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_EPNP):
         found, rotation, translation = cv2.solvePnP(
             local.reshape(-1, 1, 3), slopes.reshape(-1, 1, 2), np.eye(3), None, flags=method
         )
         if found:
-            poses.append((_floats(rotation), _floats(translation)))
+            poses.append((_flatten(rotation), _flatten(translation)))
     good = [(vector, shift) for vector, shift in poses if np.isfinite([*vector, *shift]).all()]
     if not good:
         return []
@@ -62,29 +62,29 @@ def starting_views(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> l
     depth = np.where(seen_points[..., 2] > 0, seen_points[..., 2], np.nan)
     misses = np.sum((seen_points[..., :2] / depth[..., None] - slopes) ** 2, axis=-1)
     # A gross error must cost no more than a large residual does, a point behind the camera as much.
-    score = np.log1p(np.nan_to_num(misses, nan=1e6) / ROUGH_SLOPE**2).sum(axis=1)
+    score = np.log1p(np.nan_to_num(misses, nan=1e6) / INITIAL_SLOPE_ERROR**2).sum(axis=1)
     ahead = np.median(seen_points[..., 2], axis=1) > 0
-    best = [i for i in np.argsort(score).tolist() if ahead[i]][:MOST_VIEWS]
-    return [View(lens, rotations[i], origin - rotations[i].T @ good[i][1]) for i in best]
+    best = [i for i in np.argsort(score).tolist() if ahead[i]][:MAX_CAMERAS]
+    return [OrientedCamera(lens, rotations[i], origin - rotations[i].T @ good[i][1]) for i in best]
 
 
-def _triples(count: int) -> list[tuple[int, ...]]:
+def _sample_triples(count: int) -> list[tuple[int, ...]]:
     """Some triples of n points: all of a few, an even sample of many."""
     total = count * (count - 1) * (count - 2) // 6
-    if total <= MOST_TRIPLES:
+    if total <= MAX_TRIPLES:
         return list(combinations(range(count), 3))
     if total <= 200_000:
-        return list(islice(combinations(range(count), 3), 0, None, total // MOST_TRIPLES))
+        return list(islice(combinations(range(count), 3), 0, None, total // MAX_TRIPLES))
     generator = np.random.default_rng(count)
-    return [tuple(int(i) for i in generator.choice(count, 3, replace=False)) for _ in range(MOST_TRIPLES)]
+    return [tuple(int(i) for i in generator.choice(count, 3, replace=False)) for _ in range(MAX_TRIPLES)]
 
 
-def _area(slopes: FloatArray) -> float:
+def _triangle_area(slopes: FloatArray) -> float:
     """Twice the area of a triangle of slopes."""
     first, second = slopes[1] - slopes[0], slopes[2] - slopes[0]
     return float(abs(first[0] * second[1] - first[1] * second[0]))
 
 
-def _floats(column: object) -> FloatArray:
+def _flatten(column: object) -> FloatArray:
     """Flatten what OpenCV returns."""
     return np.asarray(column, dtype=float).ravel()

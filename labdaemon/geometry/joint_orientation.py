@@ -16,17 +16,17 @@ from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.geometry.control import check_names
-from labdaemon.geometry.intersect import position
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
+from labdaemon.geometry.motion_adjustment import nearest_point
 from labdaemon.geometry.network import Network, Pose
 from labdaemon.geometry.orient import Orientation, orient
+from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors
-from labdaemon.geometry.view import View
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class ImageObservation:
     """Where a target stands in a frame, with the standard deviation of a coordinate and its apparent size if known."""
 
     name: str
@@ -46,15 +46,15 @@ class ControlPoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Together:
+class JointOrientation:
     """All cameras as oriented together.
 
     Attributes
     ----------
-    views
+    cameras
         By camera; each with its own block of `covariance`.
     covariance
-        (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `views`.
+        (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `cameras`.
     orientations
         Each camera on its own, before the joint adjustment: residuals and what was left out.
     points
@@ -65,7 +65,7 @@ class Together:
         Of the joint adjustment.
     """
 
-    views: dict[str, View]
+    cameras: dict[str, OrientedCamera]
     covariance: FloatArray
     orientations: dict[str, Orientation]
     points: dict[str, FloatArray]
@@ -74,21 +74,21 @@ class Together:
     degrees_of_freedom: int
 
 
-def orient_together(
+def orient_jointly(
     lenses: Mapping[str, Lens],
-    sightings: Mapping[str, Sequence[Sighting]],
+    observations: Mapping[str, Sequence[ImageObservation]],
     control: Sequence[ControlPoint],
     *,
     side_mm: float | None = None,
     volume: bool | None = None,
-) -> Together:
+) -> JointOrientation:
     """Orient all cameras of a rig from their sharp frames.
 
     Parameters
     ----------
     lenses
         Interior orientation by camera.
-    sightings
+    observations
         Targets found in each camera's sharp frame. Names that `control` does not know are ties: they help when two
         cameras or more see them.
     control
@@ -113,12 +113,12 @@ def orient_together(
     orientations: dict[str, Orientation] = {}
     excluded: dict[str, str] = {}
     for camera, lens in lenses.items():
-        orientations[camera] = _orient_one(camera, lens, sightings[camera], surveyed, side_mm, volume)
+        orientations[camera] = _orient_camera(camera, lens, observations[camera], surveyed, side_mm, volume)
         for name, reason in orientations[camera].excluded.items():
             excluded[name] = f"{excluded[name]}; {camera}: {reason}" if name in excluded else f"{camera}: {reason}"
-    network, network_names = _network(lenses, sightings, surveyed, orientations)
+    network, network_names = _build_network(lenses, observations, surveyed, orientations)
     adjustment, names, gross = adjust_without_gross_errors(network, network_names)
-    cameras = list(lenses)
+    camera_names = list(lenses)
     for name in set(names) & set(excluded) & set(surveyed):
         # Left out by every camera on its own, yet they agree where it is: then the survey is wrong, not the reading.
         off = adjustment.network.points[names.index(name)] - surveyed[name].position_mm
@@ -126,16 +126,18 @@ def orient_together(
             place = ", ".join(f"{value:+.1f}" for value in off)
             excluded[name] = f"mis-surveyed: the cameras see it ({place}) mm from its surveyed place"
     for error in gross:
-        excluded[error.point] = _explain(error, cameras)
+        excluded[error.point] = _describe_error(error, camera_names)
     square = adjustment.sigma0**2 * adjustment.degrees_of_freedom
     worse = adjustment.degrees_of_freedom > 0 and square > chi2.isf(0.01, adjustment.degrees_of_freedom)
     covariance = adjustment.exterior_covariance(scaled=bool(worse))
-    views = {
-        camera: View(lenses[camera], pose.rotation, pose.position, covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6])
-        for i, (camera, pose) in enumerate(zip(cameras, adjustment.network.poses, strict=True))
+    cameras = {
+        camera: OrientedCamera(
+            lenses[camera], pose.rotation, pose.position, covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
+        )
+        for i, (camera, pose) in enumerate(zip(camera_names, adjustment.network.poses, strict=True))
     }
-    return Together(
-        views,
+    return JointOrientation(
+        cameras,
         covariance,
         orientations,
         dict(zip(names, adjustment.network.points, strict=True)),
@@ -145,17 +147,17 @@ def orient_together(
     )
 
 
-def _orient_one(
+def _orient_camera(
     camera: str,
     lens: Lens,
-    seen: Sequence[Sighting],
+    seen: Sequence[ImageObservation],
     surveyed: Mapping[str, ControlPoint],
     side_mm: float | None,
     volume: bool,
 ) -> Orientation:
     """One camera on its own."""
-    used = [sighting for sighting in seen if sighting.name in surveyed]
-    sides = [sighting.side_px for sighting in used]
+    used = [observation for observation in seen if observation.name in surveyed]
+    sides = [observation.side_px for observation in used]
     known_sides = np.array([side for side in sides if side is not None])
     try:
         return orient(
@@ -173,49 +175,49 @@ def _orient_one(
         raise DataError(f"camera {camera}: {exc}") from exc
 
 
-def _network(
+def _build_network(
     lenses: Mapping[str, Lens],
-    sightings: Mapping[str, Sequence[Sighting]],
+    observations: Mapping[str, Sequence[ImageObservation]],
     surveyed: Mapping[str, ControlPoint],
     orientations: Mapping[str, Orientation],
 ) -> tuple[Network, tuple[str, ...]]:
     """Network of all cameras, control that was used, and ties."""
-    cameras = list(lenses)
-    rays: dict[str, list[tuple[int, Sighting]]] = {}
+    camera_names = list(lenses)
+    rays: dict[str, list[tuple[int, ImageObservation]]] = {}
     seen_by: dict[str, list[str]] = {}
-    for index, camera in enumerate(cameras):
-        for sighting in sightings[camera]:
-            rays.setdefault(sighting.name, []).append((index, sighting))
-            seen_by.setdefault(sighting.name, []).append(camera)
+    for index, camera in enumerate(camera_names):
+        for observation in observations[camera]:
+            rays.setdefault(observation.name, []).append((index, observation))
+            seen_by.setdefault(observation.name, []).append(camera)
     wrong = {name for name, by in seen_by.items() if all(name in orientations[camera].excluded for camera in by)}
     names: list[str] = []
     points: list[FloatArray] = []
     sds: list[FloatArray] = []
-    entries: list[tuple[int, int, Sighting]] = []
+    entries: list[tuple[int, int, ImageObservation]] = []
     for name, every in rays.items():
         seen = every
         if name in surveyed and name not in wrong:
-            seen = [(index, s) for index, s in every if name not in orientations[cameras[index]].excluded]
+            seen = [(index, s) for index, s in every if name not in orientations[camera_names[index]].excluded]
             place, sd = np.asarray(surveyed[name].position_mm, dtype=float), surveyed[name].sd_mm
         else:
             if len({index for index, _ in seen}) < 2:
                 continue
             try:
-                views = [orientations[cameras[index]].view for index, _ in seen]
-                place = position(views, [np.array([s.x_px, s.y_px]) for _, s in seen])
+                cameras = [orientations[camera_names[index]].camera for index, _ in seen]
+                place = nearest_point(cameras, [np.array([s.x_px, s.y_px]) for _, s in seen])
             except DataError:
                 continue
-            if not all(np.isfinite(view.project(place[None])).all() for view in views):
+            if not all(np.isfinite(camera.project(place[None])).all() for camera in cameras):
                 continue
             sd = np.inf
-        entries += [(index, len(names), sighting) for index, sighting in seen]
+        entries += [(index, len(names), observation) for index, observation in seen]
         names.append(name)
         points.append(place)
         sds.append(np.full(3, sd))
     network = Network(
         tuple(lenses.values()),
-        tuple(Pose(orientations[c].view.rotation, orientations[c].view.position_mm) for c in cameras),
-        np.arange(len(cameras)),
+        tuple(Pose(orientations[c].camera.rotation, orientations[c].camera.position_mm) for c in camera_names),
+        np.arange(len(camera_names)),
         np.array(points),
         np.array([entry[0] for entry in entries], dtype=np.intp),
         np.array([entry[1] for entry in entries], dtype=np.intp),
@@ -226,11 +228,11 @@ def _network(
     return network, tuple(names)
 
 
-def _explain(error: GrossError, cameras: Sequence[str]) -> str:
+def _describe_error(error: GrossError, camera_names: Sequence[str]) -> str:
     """Say why an observation was left out."""
     if error.kind == "survey":
         return f"its survey is off by about {error.size:.2f} mm ({error.test:.0f} times its standard deviation)"
     return (
-        f"its place in {cameras[error.picture]} is off by about {error.size:.2f} px "
+        f"its place in {camera_names[error.image]} is off by about {error.size:.2f} px "
         f"({error.test:.0f} times its standard deviation): misread or misidentified"
     )

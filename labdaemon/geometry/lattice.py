@@ -41,11 +41,13 @@ def grow_lattice(centres_px: FloatArray) -> dict[Node, int]:
         return {}
     middle = np.median(centres_px, axis=0)
     seeds = np.argsort(np.linalg.norm(centres_px - middle, axis=1))[:6].tolist()
-    grown = [_grow(centres_px, seed) for seed in seeds]
+    grown = [_grow_from_seed(centres_px, seed) for seed in seeds]
     most = max(len(nodes) for nodes in grown)
     # Where a seed's own neighbours are missing a diagonal may be taken for a side: that lattice is as large, but its
     # steps are longer.
-    return min((nodes for nodes in grown if 10 * len(nodes) >= 9 * most), key=lambda nodes: _step(centres_px, nodes))
+    return min(
+        (nodes for nodes in grown if 10 * len(nodes) >= 9 * most), key=lambda nodes: _mean_step(centres_px, nodes)
+    )
 
 
 def place_lattices(marks: Sequence[Mapping[str, Node]]) -> list[Placement | None]:
@@ -59,7 +61,7 @@ def place_lattices(marks: Sequence[Mapping[str, Node]]) -> list[Placement | None
     Returns
     -------
     list
-        One placement a picture (see `placed`), None where it shares fewer than two marks with the others.
+        One placement a picture (see `apply_placement`), None where it shares fewer than two marks with the others.
     """
     result: list[Placement | None] = [None] * len(marks)
     if not marks:
@@ -75,17 +77,19 @@ def place_lattices(marks: Sequence[Mapping[str, Node]]) -> list[Placement | None
             if result[k] is not None or len(shared) < 2:
                 continue
             for turns in range(4):
-                turned = {name: placed(node, (turns, 0, 0)) for name, node in mine.items()}
+                turned = {name: apply_placement(node, (turns, 0, 0)) for name, node in mine.items()}
                 shifts = {(known[n][0] - turned[n][0], known[n][1] - turned[n][1]) for n in shared}
                 if len(shifts) == 1:
                     result[k] = (turns, *shifts.pop())
-                    known |= {name: placed(node, result[k]) for name, node in mine.items() if name not in known}
+                    known |= {
+                        name: apply_placement(node, result[k]) for name, node in mine.items() if name not in known
+                    }
                     progress = True
                     break
     return result
 
 
-def placed(node: Node, placement: Placement | None) -> Node:
+def apply_placement(node: Node, placement: Placement | None) -> Node:
     """Node of the common lattice."""
     if placement is None:
         return node
@@ -95,7 +99,7 @@ def placed(node: Node, placement: Placement | None) -> Node:
     return i + placement[1], j + placement[2]
 
 
-def _step(centres_px: FloatArray, nodes: Mapping[Node, int]) -> float:
+def _mean_step(centres_px: FloatArray, nodes: Mapping[Node, int]) -> float:
     """Mean distance between neighbours of a lattice."""
     lengths = [
         float(np.linalg.norm(centres_px[nodes[i + di, j + dj]] - centres_px[row]))
@@ -106,9 +110,9 @@ def _step(centres_px: FloatArray, nodes: Mapping[Node, int]) -> float:
     return float(np.mean(lengths)) if lengths else float("inf")
 
 
-def _grow(centres_px: FloatArray, seed: int) -> dict[Node, int]:
+def _grow_from_seed(centres_px: FloatArray, seed: int) -> dict[Node, int]:
     """Lattice around one dot."""
-    basis = _basis(centres_px, seed)
+    basis = _find_basis(centres_px, seed)
     if basis is None:
         return {}
     nodes: dict[Node, int] = {(0, 0): seed}
@@ -138,7 +142,7 @@ def _grow(centres_px: FloatArray, seed: int) -> dict[Node, int]:
     return nodes
 
 
-def _basis(centres_px: FloatArray, seed: int) -> tuple[FloatArray, FloatArray] | None:
+def _find_basis(centres_px: FloatArray, seed: int) -> tuple[FloatArray, FloatArray] | None:
     """Steps to two neighbours of a dot across each other, turning from x to y."""
     offsets = centres_px - centres_px[seed]
     near = np.argsort(np.linalg.norm(offsets, axis=1))[1:9]

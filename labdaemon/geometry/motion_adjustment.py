@@ -16,9 +16,9 @@ import numpy as np
 from labdaemon.errors import DataError
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion import FloatArray
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
-SMALLEST_ANGLE_RAD = 0.02
+MIN_RAY_ANGLE_RAD = 0.02
 """Rays that meet at less than this give no depth."""
 _FLOOR_PX2 = 1e-8  # keeps a covariance of zero invertible
 
@@ -33,30 +33,30 @@ class Candidate:
         (3, 3): mean, a and b.
     covariance_mm2
         (9, 9).
-    square
+    cost
         Sum of squared normalised residuals.
     freedom
         Its degrees of freedom.
     worst_px
         Largest residual of an observation (px, or px² for second moments).
-    against
+    sign_penalty
         What is known otherwise of the ends' signs and contradicts it, as a sum of squares.
     """
 
     motion_mm: FloatArray
     covariance_mm2: FloatArray
-    square: float
+    cost: float
     freedom: int
     worst_px: float
-    against: float = 0.0
+    sign_penalty: float = 0.0
 
     @property
-    def unlikely(self) -> float:
+    def total_cost(self) -> float:
         """Residuals and all else that speaks against it, as a sum of squares."""
-        return self.square + self.against
+        return self.cost + self.sign_penalty
 
 
-def position(views: Sequence[View], mean_px: Sequence[FloatArray]) -> FloatArray:
+def nearest_point(cameras: Sequence[OrientedCamera], mean_px: Sequence[FloatArray]) -> FloatArray:
     """(3,) point nearest to all rays, mm; a start for the adjustment.
 
     Raises
@@ -64,29 +64,29 @@ def position(views: Sequence[View], mean_px: Sequence[FloatArray]) -> FloatArray
     DataError
         Fewer than two cameras, a pixel that the lens cannot undistort, or rays that are nearly parallel.
     """
-    if len(views) < 2:
+    if len(cameras) < 2:
         raise DataError("seen by one camera only: its depth is unknown")
-    directions = np.concatenate([view.rays(px[None]) for view, px in zip(views, mean_px, strict=True)])
+    directions = np.concatenate([camera.rays(px[None]) for camera, px in zip(cameras, mean_px, strict=True)])
     if not np.isfinite(directions).all():
         raise DataError("a target lies where a lens model folds over")
-    centres = np.stack([view.position_mm for view in views])
+    centres = np.stack([camera.position_mm for camera in cameras])
     cosines = np.abs(directions @ directions.T)
-    if np.arccos(np.clip(cosines.min(), 0.0, 1.0)) < SMALLEST_ANGLE_RAD:
+    if np.arccos(np.clip(cosines.min(), 0.0, 1.0)) < MIN_RAY_ANGLE_RAD:
         raise DataError("its rays are nearly parallel: move the cameras apart")
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     return np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
 
 
-Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+ObservationModel = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """Picture (6,) of one camera, its derivatives by motion (6, 9) and exterior (6, 6) -> what is observed of it."""
 
 
 def adjust_motion(
-    views: Sequence[View],
+    cameras: Sequence[OrientedCamera],
     exterior: FloatArray,
     observed: Sequence[FloatArray],
     noise: Sequence[FloatArray],
-    model: Model,
+    model: ObservationModel,
     free: Sequence[int],
     start: FloatArray,
     *,
@@ -96,7 +96,7 @@ def adjust_motion(
 
     Parameters
     ----------
-    views
+    cameras
         The n cameras.
     exterior
         (6 n, 6 n) joint covariance of their exterior parameters.
@@ -123,7 +123,7 @@ def adjust_motion(
         place = slice(index * rows, (index + 1) * rows)
         image_noise[place, place] = block + _FLOOR_PX2 * np.eye(rows)
     for _ in range(12):
-        computed, by_motion, by_exterior = _linearise(views, motion, model)
+        computed, by_motion, by_exterior = _linearise(cameras, motion, model)
         weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)
         design = by_motion[:, columns]
         normal = design.T @ weight @ design
@@ -134,7 +134,7 @@ def adjust_motion(
         motion = flat.reshape(3, 3)
         if float(step @ normal @ step) < 1e-8:
             break
-    computed, by_motion, by_exterior = _linearise(views, motion, model)
+    computed, by_motion, by_exterior = _linearise(cameras, motion, model)
     weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)
     design, miss = by_motion[:, columns], target - computed
     covariance = np.zeros((9, 9))
@@ -154,9 +154,11 @@ def _invert(normal: FloatArray, motion: FloatArray | None) -> FloatArray:
     return np.linalg.pinv(scaled, rcond=1e-15, hermitian=True) * np.outer(scale, scale)
 
 
-def _linearise(views: Sequence[View], motion: FloatArray, model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _linearise(
+    cameras: Sequence[OrientedCamera], motion: FloatArray, model: ObservationModel
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Observations of all cameras one below the other, (m,), (m, 9), and (m, 6 n) with one block a camera."""
-    parts = [model(*project_motion(view.project_with_jacobians, motion)) for view in views]
+    parts = [model(*project_motion(camera.project_with_jacobians, motion)) for camera in cameras]
     if not all(np.isfinite(part[0]).all() for part in parts):
         raise DataError("its rays do not meet in front of the cameras")
     rows = len(parts[0][0])

@@ -9,18 +9,18 @@ from itertools import combinations, product
 import numpy as np
 
 from labdaemon.errors import DataError
-from labdaemon.geometry.intersect import Candidate, adjust_motion, position
 from labdaemon.geometry.motion import FloatArray, ImageMotion
+from labdaemon.geometry.motion_adjustment import Candidate, adjust_motion, nearest_point
 from labdaemon.geometry.orbit import principal_axes, second_moment, second_moment_covariance, second_moment_jacobian
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
-MOST_BELIEVED = 40.0
+MAX_EVIDENCE = 40.0
 """What one camera's evidence for a sign counts for at most: rays that miss each other by far say more."""
-_AXIS_FLOOR_PX = 0.01  # no blur tells a minor axis from zero more closely than this
+_MIN_AXIS_SD_PX = 0.01  # no blur tells a minor axis from zero more closely than this
 
 
 def straight_candidates(
-    views: Sequence[View],
+    cameras: Sequence[OrientedCamera],
     exterior: FloatArray,
     motions: Sequence[ImageMotion],
     evidence: Sequence[float] | None = None,
@@ -32,41 +32,41 @@ def straight_candidates(
 
     Parameters
     ----------
-    views, exterior, motions
+    cameras, exterior, motions
         As for `join`.
     evidence
         For each camera, twice the logarithm of the odds that its a points to where the target stood at one instant
         that all cameras share (the middle of the exposure).
     """
-    known = np.zeros(len(views)) if evidence is None else np.asarray(evidence, dtype=float)
+    known = np.zeros(len(cameras)) if evidence is None else np.asarray(evidence, dtype=float)
     start = np.zeros((3, 3))
-    start[0] = position(views, [motion.mean_px for motion in motions])
+    start[0] = nearest_point(cameras, [motion.mean_px for motion in motions])
     ranked = []
-    for signs in product(*[(1.0,)] + [(1.0, -1.0)] * (len(views) - 1)):
-        vector, square = _linear_vector(views, motions, signs, start[0])
-        against = disagreement(known, signs)
-        ranked.append((square + against, signs, vector, against))
+    for signs in product(*[(1.0,)] + [(1.0, -1.0)] * (len(cameras) - 1)):
+        vector, cost = _linear_vector(cameras, motions, signs, start[0])
+        sign_penalty = sign_penalty_of(known, signs)
+        ranked.append((cost + sign_penalty, signs, vector, sign_penalty))
     ranked.sort(key=lambda entry: entry[0])
     result = []
-    for _, signs, vector, against in ranked[:2]:
+    for _, signs, vector, sign_penalty in ranked[:2]:
         try:
-            candidate = _adjust_straight(views, exterior, motions, signs, np.stack([start[0], vector, np.zeros(3)]))
+            candidate = _adjust_straight(cameras, exterior, motions, signs, np.stack([start[0], vector, np.zeros(3)]))
         except DataError:
             continue  # ends matched wrongly may put the path behind a camera
-        result.append(replace(candidate, against=against))
+        result.append(replace(candidate, sign_penalty=sign_penalty))
     if not result:
         raise DataError("no way of matching the ends of its path puts it in front of the cameras")
-    return sorted(result, key=lambda candidate: candidate.unlikely)
+    return sorted(result, key=lambda candidate: candidate.total_cost)
 
 
-def disagreement(evidence: FloatArray, signs: Sequence[float]) -> float:
+def sign_penalty_of(evidence: FloatArray, signs: Sequence[float]) -> float:
     """What the cameras' evidence has against one way of matching the ends, whichever of the two ends it was."""
-    believed = np.clip(evidence, -MOST_BELIEVED, MOST_BELIEVED) * np.asarray(signs)
+    believed = np.clip(evidence, -MAX_EVIDENCE, MAX_EVIDENCE) * np.asarray(signs)
     return float(min(np.sum(np.maximum(believed, 0.0)), np.sum(np.maximum(-believed, 0.0))))
 
 
 def _adjust_straight(
-    views: Sequence[View],
+    cameras: Sequence[OrientedCamera],
     exterior: FloatArray,
     motions: Sequence[ImageMotion],
     signs: Sequence[float],
@@ -75,42 +75,46 @@ def _adjust_straight(
     """Straight motion with each camera's a taken with a sign."""
     flips = [np.array([1.0, 1.0, sign, sign]) for sign in signs]
     candidate = adjust_motion(
-        views,
+        cameras,
         exterior,
         [np.concatenate([m.mean_px, m.a_px]) * f for m, f in zip(motions, flips, strict=True)],
         [m.covariance_px2[:4, :4] * np.outer(f, f) for m, f in zip(motions, flips, strict=True)],
-        lambda picture, by_motion, by_exterior: (picture[:4], by_motion[:4], by_exterior[:4]),
+        lambda image, by_motion, by_exterior: (image[:4], by_motion[:4], by_exterior[:4]),
         range(6),
         start,
     )
-    candidate.covariance_mm2[6:, 6:] = _minor_covariance(views, motions, candidate.motion_mm)
+    candidate.covariance_mm2[6:, 6:] = _minor_covariance(cameras, motions, candidate.motion_mm)
     return candidate
 
 
-def phased_candidate(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> Candidate:
+def phased_candidate(
+    cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion]
+) -> Candidate:
     """Solution of signed vectors: nothing is left to match."""
     start = np.zeros((3, 3))
-    start[0] = position(views, [motion.mean_px for motion in motions])
+    start[0] = nearest_point(cameras, [motion.mean_px for motion in motions])
     return adjust_motion(
-        views,
+        cameras,
         exterior,
         [np.concatenate([m.mean_px, m.a_px, m.b_px]) for m in motions],
         [m.covariance_px2 for m in motions],
-        lambda picture, by_motion, by_exterior: (picture, by_motion, by_exterior),
+        lambda image, by_motion, by_exterior: (image, by_motion, by_exterior),
         range(9),
         start,
     )
 
 
-def orbit_candidates(views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion]) -> list[Candidate]:
+def orbit_candidates(
+    cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion]
+) -> list[Candidate]:
     """Solutions of an orbit from the second moments of its pictures, distinct ones only, best first.
 
     Each picture's ``M = a aᵀ + b bᵀ`` is the projection of ``A Aᵀ + B Bᵀ``, which has rank 2. Two cameras leave the
     product of their rays' directions undetermined, and rank 2 picks two roots along it (measurement note, section 4).
     """
-    mean = position(views, [motion.mean_px for motion in motions])
+    mean = nearest_point(cameras, [motion.mean_px for motion in motions])
     moments = [second_moment(m.a_px, m.b_px) for m in motions]
-    floor = np.diag([0.0, 0.0, _AXIS_FLOOR_PX**2, _AXIS_FLOOR_PX**2])
+    floor = np.diag([0.0, 0.0, _MIN_AXIS_SD_PX**2, _MIN_AXIS_SD_PX**2])
     noise = []
     for motion, moment in zip(motions, moments, strict=True):
         block = np.zeros((5, 5))
@@ -123,30 +127,30 @@ def orbit_candidates(views: Sequence[View], exterior: FloatArray, motions: Seque
         noise.append(block)
     observed = [np.concatenate([m.mean_px, moment]) for m, moment in zip(motions, moments, strict=True)]
     found: list[Candidate] = []
-    for start in _orbit_starts(views, moments, mean):
+    for start in _orbit_starts(cameras, moments, mean):
         try:
             candidate = adjust_motion(
-                views, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]), phase_free=True
+                cameras, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]), phase_free=True
             )
         except DataError:
             continue
         a, b, covariance = principal_axes(candidate.motion_mm[1], candidate.motion_mm[2], candidate.covariance_mm2)
         motion_mm = np.stack([candidate.motion_mm[0], a, b])
-        if not any(_same(motion_mm, other.motion_mm) for other in found):
+        if not any(_are_same_motion(motion_mm, other.motion_mm) for other in found):
             worst_px = candidate.worst_px / max(1.0, 2.0 * max(float(np.linalg.norm(m.a_px)) for m in motions))
-            found.append(Candidate(motion_mm, covariance, candidate.square, candidate.freedom, worst_px))
+            found.append(Candidate(motion_mm, covariance, candidate.cost, candidate.freedom, worst_px))
     if not found:
         raise DataError("no orbit in space fits what its cameras see")
-    return sorted(found, key=lambda candidate: candidate.square)
+    return sorted(found, key=lambda candidate: candidate.cost)
 
 
 def _linear_vector(
-    views: Sequence[View], motions: Sequence[ImageMotion], signs: Sequence[float], mean: FloatArray
+    cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], signs: Sequence[float], mean: FloatArray
 ) -> tuple[FloatArray, float]:
     """Vector (3,) that projects to the signed a of all cameras, and its squared normalised residual."""
     normal, right, total = np.zeros((3, 3), float), np.zeros(3, float), 0.0
-    for view, motion, sign in zip(views, motions, signs, strict=True):
-        jacobian = view.project_with_jacobians(mean[None])[1][0]
+    for camera, motion, sign in zip(cameras, motions, signs, strict=True):
+        jacobian = camera.project_with_jacobians(mean[None])[1][0]
         weight = np.linalg.inv(motion.covariance_px2[2:4, 2:4] + 1e-8 * np.eye(2))
         normal += jacobian.T @ weight @ jacobian
         right += sign * jacobian.T @ weight @ motion.a_px
@@ -155,7 +159,9 @@ def _linear_vector(
     return vector, total - float(right @ vector)
 
 
-def _minor_covariance(views: Sequence[View], motions: Sequence[ImageMotion], motion_mm: FloatArray) -> FloatArray:
+def _minor_covariance(
+    cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], motion_mm: FloatArray
+) -> FloatArray:
     """(3, 3) covariance of a minor axis that was found to be zero.
 
     A picture shows of it only what stands across the path: the rest would merely lengthen a. It is at right angles to
@@ -164,40 +170,40 @@ def _minor_covariance(views: Sequence[View], motions: Sequence[ImageMotion], mot
     size = max(float(np.linalg.norm(motion_mm[1])), 1e-6)
     along = motion_mm[1] / size
     normal = np.eye(3) / size**2 + np.outer(along, along) * 1e6 / size**2
-    for view, motion in zip(views, motions, strict=True):
+    for camera, motion in zip(cameras, motions, strict=True):
         a, block = motion.a_px, motion.covariance_px2[4:, 4:]
         length = float(np.linalg.norm(a))
         if length == 0.0 or not np.isfinite(block).all():
             continue
         across = np.array([-a[1], a[0]]) / length
-        variance = float(across @ block @ across) + _AXIS_FLOOR_PX**2
-        seen = across @ view.project_with_jacobians(motion_mm[:1])[1][0]
+        variance = float(across @ block @ across) + _MIN_AXIS_SD_PX**2
+        seen = across @ camera.project_with_jacobians(motion_mm[:1])[1][0]
         normal += np.outer(seen, seen) / variance
     return np.asarray(np.linalg.inv(normal), dtype=float)
 
 
 def _moment_model(
-    picture: FloatArray, by_motion: FloatArray, by_exterior: FloatArray
+    image: FloatArray, by_motion: FloatArray, by_exterior: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean and second moment of one camera's picture."""
-    a, b = picture[2:4], picture[4:6]
+    a, b = image[2:4], image[4:6]
     change = np.zeros((5, 6))
     change[:2, :2] = np.eye(2)
     change[2:, 2:] = second_moment_jacobian(a, b)
-    return np.concatenate([picture[:2], second_moment(a, b)]), change @ by_motion, change @ by_exterior
+    return np.concatenate([image[:2], second_moment(a, b)]), change @ by_motion, change @ by_exterior
 
 
 def _orbit_starts(
-    views: Sequence[View], moments: Sequence[FloatArray], mean: FloatArray
+    cameras: Sequence[OrientedCamera], moments: Sequence[FloatArray], mean: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Semi-axes of orbits that fit each pair of cameras exactly in linear terms."""
     starts = []
-    for first, second in combinations(range(len(views)), 2):
-        pair = [views[first], views[second]]
-        system = np.concatenate([_moment_rows(view.project_with_jacobians(mean[None])[1][0]) for view in pair])
+    for first, second in combinations(range(len(cameras)), 2):
+        pair = [cameras[first], cameras[second]]
+        system = np.concatenate([_moment_rows(camera.project_with_jacobians(mean[None])[1][0]) for camera in pair])
         right = np.concatenate([moments[first], moments[second]])
         numbers = np.linalg.lstsq(system, right, rcond=1e-9)[0]
-        rays = [mean - view.position_mm for view in pair]
+        rays = [mean - camera.position_mm for camera in pair]
         rays = [ray / np.linalg.norm(ray) for ray in rays]
         base, null = _symmetric(numbers), np.outer(rays[0], rays[1]) + np.outer(rays[1], rays[0])
         starts += [_rank_two(base + root * null) for root in _roots_of_rank_two(base, null)]
@@ -245,7 +251,7 @@ def _rank_two(moment: FloatArray) -> tuple[FloatArray, FloatArray]:
     return major * vectors[:, 2], minor * vectors[:, 1]
 
 
-def _same(first: FloatArray, second: FloatArray) -> bool:
+def _are_same_motion(first: FloatArray, second: FloatArray) -> bool:
     """Tell whether two motions are one, up to the signs of their axes."""
     size = float(np.linalg.norm(first[1])) or 1.0
     return all(

@@ -62,7 +62,7 @@ class Network:
         One a picture, and the index of the lens it was taken with.
     points
         (p, 3) starting coordinates; those of control points are their surveyed ones.
-    picture, point
+    image, point
         (n,) indices of each sighting's picture and point.
     image_px, sd_px
         (n, 2) measured pixels, and (n,) or scalar standard deviation of a coordinate.
@@ -81,7 +81,7 @@ class Network:
     poses: tuple[Pose, ...]
     lens_of: IntArray
     points: FloatArray
-    picture: IntArray
+    image: IntArray
     point: IntArray
     image_px: FloatArray
     sd_px: FloatArray | float = 1.0
@@ -93,7 +93,7 @@ class Network:
     @property
     def weights(self) -> FloatArray:
         """(n,) 1/variance of each sighting's coordinates."""
-        return np.broadcast_to(np.asarray(self.sd_px, dtype=float), (len(self.picture),)) ** -2.0
+        return np.broadcast_to(np.asarray(self.sd_px, dtype=float), (len(self.image),)) ** -2.0
 
     @property
     def survey_sd(self) -> FloatArray:
@@ -127,12 +127,12 @@ def check_network(network: Network, names: Sequence[str]) -> None:
     """
     rays = np.bincount(network.point, minlength=len(network.points))
     known = np.isfinite(network.survey_sd).all(axis=1)
-    lonely = np.flatnonzero((rays < 2) & ~known)
-    if lonely.size:
-        listing = ", ".join(names[i] for i in lonely[:10].tolist())
+    undetermined = np.flatnonzero((rays < 2) & ~known)
+    if undetermined.size:
+        listing = ", ".join(names[i] for i in undetermined[:10].tolist())
         raise DataError(f"seen in fewer than two pictures, so that their place is not fixed: {listing}")
-    sights = np.bincount(network.picture, minlength=len(network.poses))
-    if np.any(sights < 3):
-        raise DataError(f"picture {int(np.argmin(sights)) + 1} shows only {sights.min()} points: three are needed")
+    observed = np.bincount(network.image, minlength=len(network.poses))
+    if np.any(observed < 3):
+        raise DataError(f"picture {int(np.argmin(observed)) + 1} shows only {observed.min()} points: three are needed")
     if not network.datum and np.isfinite(network.survey_sd).sum() + len(network.bars) < 7:
         raise DataError("neither control points nor a free network: nothing says where and how large the object is")

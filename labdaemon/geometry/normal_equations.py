@@ -20,11 +20,11 @@ from scipy import sparse
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.network import IntArray, Network
-from labdaemon.geometry.view import rotation_from_vector, skew
+from labdaemon.geometry.oriented_camera import rotation_from_vector, skew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linear:
+class LinearisedNetwork:
     """An adjustment linearised at its current values.
 
     Attributes
@@ -62,11 +62,11 @@ class Linear:
         return value if np.isfinite(value) else float("inf")
 
 
-def linearise(network: Network, surveyed: FloatArray) -> Linear:
+def linearise(network: Network, surveyed: FloatArray) -> LinearisedNetwork:
     """Residuals and derivatives at the network's current values; `surveyed` (p, 3) are the control coordinates."""
-    count, pictures = len(network.picture), len(network.poses)
-    rotations = np.stack([pose.rotation for pose in network.poses])[network.picture]
-    centres = np.stack([pose.position for pose in network.poses])[network.picture]
+    count, images = len(network.image), len(network.poses)
+    rotations = np.stack([pose.rotation for pose in network.poses])[network.image]
+    centres = np.stack([pose.position for pose in network.poses])[network.image]
     local = np.einsum("nij,nj->ni", rotations, network.points[network.point] - centres)
     depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
     slopes = local[:, :2] / depth[:, None]
@@ -74,9 +74,9 @@ def linearise(network: Network, surveyed: FloatArray) -> Linear:
     columns = network.interior_columns
     offsets = np.cumsum([0, *(len(c) for c in columns)])
     blocks: list[tuple[FloatArray, IntArray, IntArray]] = []
-    sighting_lens = network.lens_of[network.picture]
+    observation_lens = network.lens_of[network.image]
     for index, lens in enumerate(network.lenses):
-        mine = np.flatnonzero(sighting_lens == index)
+        mine = np.flatnonzero(observation_lens == index)
         residuals[mine], by_slope[mine], by_interior = lens.linearise(network.image_px[mine], slopes[mine])
         if len(columns[index]):
             places = np.broadcast_to(np.arange(offsets[index], offsets[index + 1]), (len(mine), len(columns[index])))
@@ -87,14 +87,14 @@ def linearise(network: Network, surveyed: FloatArray) -> Linear:
     by_local = by_slope @ slope_by_local
     by_point = by_local @ rotations
     by_exterior = np.concatenate([-by_local @ skew(local), -by_point], axis=2)
-    blocks.append((by_exterior, np.arange(count), offsets[-1] + 6 * network.picture[:, None] + np.arange(6)))
-    by_camera = _assemble(blocks, (2 * count, int(offsets[-1]) + 6 * pictures))
+    blocks.append((by_exterior, np.arange(count), offsets[-1] + 6 * network.image[:, None] + np.arange(6)))
+    by_camera = _assemble_blocks(blocks, (2 * count, int(offsets[-1]) + 6 * images))
     sd = network.survey_sd
     with np.errstate(divide="ignore"):
         weights = np.where((sd > 0) & np.isfinite(sd), sd**-2.0, 0.0)
     survey = np.where(np.isfinite(sd), surveyed - network.points, 0.0)
-    extra, diagonal, misclosure = _constraints(network)
-    return Linear(
+    extra, diagonal, misclosure = _constraint_rows(network)
+    return LinearisedNetwork(
         residuals,
         by_camera,
         by_point * (sd > 0)[network.point][:, None, :],
@@ -107,7 +107,7 @@ def linearise(network: Network, surveyed: FloatArray) -> Linear:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Normal:
+class NormalEquations:
     """Reduced normal equations.
 
     Attributes
@@ -130,7 +130,7 @@ class Normal:
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
         """Change of the camera unknowns and multipliers (k + q,) and of the points (p, 3)."""
-        scale = _scale(self.reduced)
+        scale = _diagonal_scale(self.reduced)
         cameras = scale * np.linalg.solve(self.reduced * np.outer(scale, scale), scale * self.right_camera)
         points = np.einsum("pij,pj->pi", self.inverse_v, self.right_point)
         return cameras, points - (self.transfer @ cameras).reshape(points.shape)
@@ -143,7 +143,7 @@ class Normal:
         DataError
             The unknowns are not determined.
         """
-        scale = _scale(self.reduced)
+        scale = _diagonal_scale(self.reduced)
         scaled = self.reduced * np.outer(scale, scale)
         if np.linalg.cond(scaled) > 1e15:
             raise DataError(
@@ -154,9 +154,9 @@ class Normal:
         return inverse
 
 
-def form_normal(network: Network, linear: Linear, damping: float = 0.0) -> Normal:
+def form_normal(network: Network, linear: LinearisedNetwork, damping: float = 0.0) -> NormalEquations:
     """Normal equations of the linearised network, with Levenberg–Marquardt damping relative to the diagonal."""
-    count, points = len(network.picture), len(network.points)
+    count, points = len(network.image), len(network.points)
     weights = network.weights
     weighted = weights[:, None, None] * linear.by_point
     v = np.zeros((points, 3, 3))
@@ -191,10 +191,10 @@ def form_normal(network: Network, linear: Linear, damping: float = 0.0) -> Norma
     reduced -= (w @ transfer).toarray()
     right_camera = np.concatenate([linear.by_camera.T @ (doubled * linear.residuals.ravel()), linear.extra_misclosure])
     right_camera = right_camera - transfer.T @ right_point.ravel()
-    return Normal(inverse_v, transfer, 0.5 * (reduced + reduced.T), right_camera, right_point)
+    return NormalEquations(inverse_v, transfer, 0.5 * (reduced + reduced.T), right_camera, right_point)
 
 
-def moved(network: Network, cameras: FloatArray, points: FloatArray) -> Network:
+def apply_change(network: Network, cameras: FloatArray, points: FloatArray) -> Network:
     """Network after a change of its camera unknowns (multipliers behind them are ignored) and points (p, 3)."""
     lenses, offset = list(network.lenses), 0
     for index, columns in enumerate(network.interior_columns):
@@ -210,7 +210,7 @@ def moved(network: Network, cameras: FloatArray, points: FloatArray) -> Network:
     return replace(network, lenses=tuple(lenses), poses=poses, points=network.points + points)
 
 
-def _constraints(network: Network) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+def _constraint_rows(network: Network) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
     """Rows of distances and inner constraints by the points, their diagonals and misclosures."""
     size = network.points.size
     rows: list[FloatArray] = []
@@ -238,18 +238,18 @@ def _constraints(network: Network) -> tuple[sparse.csr_matrix, FloatArray, Float
     return matrix, np.array(diagonal), np.array(misclosure)
 
 
-def _assemble(blocks: list[tuple[FloatArray, IntArray, IntArray]], shape: tuple[int, int]) -> sparse.csr_matrix:
+def _assemble_blocks(blocks: list[tuple[FloatArray, IntArray, IntArray]], shape: tuple[int, int]) -> sparse.csr_matrix:
     """Sparse matrix of (n, 2, m) blocks at sightings (n,) and columns (n, m)."""
     values, rows, columns = [], [], []
-    for block, sightings, places in blocks:
+    for block, observations, places in blocks:
         values.append(block.ravel())
         width = block.shape[2]
-        rows.append(np.repeat((2 * sightings[:, None] + np.arange(2)).ravel(), width))
+        rows.append(np.repeat((2 * observations[:, None] + np.arange(2)).ravel(), width))
         columns.append(np.repeat(places[:, None, :], 2, axis=1).ravel())
     return sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
 
 
-def _scale(matrix: FloatArray) -> FloatArray:
+def _diagonal_scale(matrix: FloatArray) -> FloatArray:
     """Factors that bring a symmetric matrix's diagonal to ±1."""
     diagonal = np.abs(np.diag(matrix))
     return 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

@@ -17,13 +17,13 @@ from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.geometry.control import check_control, check_scale, check_volume
+from labdaemon.geometry.data_snooping import RobustPointAdjustment, exclusion_reason
+from labdaemon.geometry.initial_pose import initial_cameras
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
-from labdaemon.geometry.pose import starting_views
-from labdaemon.geometry.snoop import PointProblem, reason
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
-WORST_SIGMA0 = 10.0
+MAX_SIGMA0 = 10.0
 """Residuals this many times their standard deviation belong to another camera, lens or survey."""
 
 
@@ -33,7 +33,7 @@ class Orientation:
 
     Attributes
     ----------
-    view
+    camera
         The oriented camera with the covariance of its exterior parameters.
     names
         (n,) control targets offered.
@@ -49,7 +49,7 @@ class Orientation:
         Observations less unknowns.
     """
 
-    view: View
+    camera: OrientedCamera
     names: tuple[str, ...]
     residuals_px: FloatArray
     used: NDArray[np.bool_]
@@ -107,33 +107,33 @@ def orient(
     if volume:
         check_volume(object_mm, sd_object)
 
-    def linearise(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
-        computed, by_point, by_exterior = view.project_with_jacobians(object_mm)
+    def linearise(camera: OrientedCamera) -> tuple[FloatArray, FloatArray, FloatArray]:
+        computed, by_point, by_exterior = camera.project_with_jacobians(object_mm)
         survey = (sd_object**2)[:, None, None] * by_point @ np.swapaxes(by_point, 1, 2)
         return image_px - computed, survey + (sd_image**2)[:, None, None] * np.eye(2), by_exterior
 
-    problem = PointProblem(linearise, View.moved)
-    starts = sorted(starting_views(lens, image_px, object_mm), key=problem.cost)[:4]
+    problem = RobustPointAdjustment(linearise, OrientedCamera.apply_change)
+    starts = sorted(initial_cameras(lens, image_px, object_mm), key=problem.cost)[:4]
     if not starts:
         raise DataError("no camera position sees the control targets like this: wrong lens, or names mixed up")
     every = np.ones(count)
-    view = min((problem.adjust(start, every, robust=True, steps=20) for start in starts), key=problem.cost)
-    view, used = problem.snoop(view, least=4)
-    residuals = linearise(view)[0]
-    squares = problem.squares(view)
+    camera = min((problem.adjust(start, every, robust=True, steps=20) for start in starts), key=problem.cost)
+    camera, used = problem.reject_outliers(camera, min_points=4)
+    residuals = linearise(camera)[0]
+    squares = problem.squares(camera)
     freedom = 2 * int(used.sum()) - 6
     sigma0 = float(np.sqrt(squares[used].sum() / freedom)) if freedom else float("nan")
     listing = ", ".join(f"{name} {np.hypot(*v):.1f} px" for name, v in zip(names, residuals, strict=True))
-    if not used.sum() > count / 2 or sigma0 > WORST_SIGMA0:
+    if not used.sum() > count / 2 or sigma0 > MAX_SIGMA0:
         raise DataError(
             f"control targets do not fit together (residuals {listing}): check that the frame is from this camera, "
             "that the lens is this camera's, and the survey"
         )
     if side_px is not None and side_mm is not None:
-        check_scale(view, object_mm[used], np.asarray(side_px)[used], side_mm)
-    covariance = problem.covariance(view, used)
+        check_scale(camera, object_mm[used], np.asarray(side_px)[used], side_mm)
+    covariance = problem.covariance(camera, used)
     if freedom and squares[used].sum() > chi2.isf(0.01, freedom):
         covariance = covariance * sigma0**2  # worse than stated: believe the residuals
-    excluded = {names[i]: reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()}
-    oriented = View(lens, view.rotation, view.position_mm, covariance)
+    excluded = {names[i]: exclusion_reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()}
+    oriented = OrientedCamera(lens, camera.rotation, camera.position_mm, covariance)
     return Orientation(oriented, tuple(names), residuals, used, excluded, sigma0, freedom)

@@ -32,7 +32,7 @@ def rotation_from_vector(vector: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class OrientedCamera:
     """A camera in the room: ``x_camera = rotation @ (x_object - position_mm)``.
 
     Attributes
@@ -53,18 +53,18 @@ class View:
     position_mm: FloatArray
     covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
-    def moved(self, change: FloatArray) -> View:
+    def apply_change(self, change: FloatArray) -> OrientedCamera:
         """View after a change (6,) of its exterior parameters; the covariance is kept."""
         rotation = rotation_from_vector(change[:3]) @ self.rotation
         return replace(self, rotation=rotation, position_mm=self.position_mm + change[3:])
 
-    def in_camera(self, points_mm: FloatArray) -> FloatArray:
+    def to_camera_axes(self, points_mm: FloatArray) -> FloatArray:
         """(n, 3) object points in camera axes, mm."""
         return (points_mm - self.position_mm) @ self.rotation.T
 
     def project(self, points_mm: FloatArray) -> FloatArray:
         """(n, 2) pixels of (n, 3) object points; NaN behind the camera or beyond the lens's fold."""
-        local = self.in_camera(np.asarray(points_mm, dtype=float))
+        local = self.to_camera_axes(np.asarray(points_mm, dtype=float))
         depth = np.where(local[..., 2:] > 0, local[..., 2:], np.nan)
         return self.lens.distort(local[..., :2] / depth)
 
@@ -77,7 +77,7 @@ class View:
             (n, 2) pixels, (n, 2, 3) derivative by the points (px/mm), and (n, 2, 6) by the exterior parameters
             (px/rad, px/mm) in the order of `covariance`.
         """
-        local = self.in_camera(np.asarray(points_mm, dtype=float))
+        local = self.to_camera_axes(np.asarray(points_mm, dtype=float))
         depth = np.where(local[..., 2:] > 0, local[..., 2:], np.nan)
         slopes = local[..., :2] / depth
         by_local = np.zeros((*slopes.shape, 3))

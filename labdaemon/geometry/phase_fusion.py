@@ -15,18 +15,18 @@ from scipy.optimize import brentq
 from scipy.special import ive
 
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
-MOST = 1e6
+MAX_CONCENTRATION = 1e6
 """Concentration from which a phase is as good as known."""
 
 
-def with_phase(views: Sequence[View], motions: Sequence[ImageMotion], axis: ObjectMotion) -> ObjectMotion:
+def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion) -> ObjectMotion:
     """Give an axis in space the phase that its pictures have.
 
     Parameters
     ----------
-    views, motions
+    cameras, motions
         One of each a camera; signed vectors, whose covariance holds the phase's uncertainty.
     axis
         Straight motion joined without phase.
@@ -37,12 +37,12 @@ def with_phase(views: Sequence[View], motions: Sequence[ImageMotion], axis: Obje
         Signed vectors; their covariance is that of all phases by their chances.
     """
     total = 0.0 + 0.0j
-    for view, motion in zip(views, motions, strict=True):
-        along = view.project_with_jacobians(axis.mean_mm[None])[1][0] @ axis.a_mm
+    for camera, motion in zip(cameras, motions, strict=True):
+        along = camera.project_with_jacobians(axis.mean_mm[None])[1][0] @ axis.a_mm
         size = float(np.linalg.norm(along))
         if size > 0:
-            total += _phasor(motion, along / size)
-    phase, resultant, second = float(np.angle(total)), *_moments(abs(total))
+            total += _camera_phasor(motion, along / size)
+    phase, resultant, second = float(np.angle(total)), *_circular_moments(abs(total))
     radial, tangent = np.array([np.cos(phase), np.sin(phase)]), np.array([-np.sin(phase), np.cos(phase)])
     outward, sideways = 1 - 2 * resultant + (1 + second) / 2, (1 - second) / 2
     spread = outward * np.outer(radial, radial) + sideways * np.outer(tangent, tangent)
@@ -51,14 +51,16 @@ def with_phase(views: Sequence[View], motions: Sequence[ImageMotion], axis: Obje
     covariance[:3, :3] = axis.covariance_mm2[:3, :3]
     covariance[:3, 3:] = np.kron(radial, axis.covariance_mm2[:3, 3:6])
     covariance[3:, :3] = covariance[:3, 3:].T
-    beside = np.kron(np.outer(tangent, tangent), axis.covariance_mm2[6:, 6:])
+    minor_covariance = np.kron(np.outer(tangent, tangent), axis.covariance_mm2[6:, 6:])
     covariance[3:, 3:] = (
-        np.kron(spread, np.outer(axis.a_mm, axis.a_mm)) + np.kron(mean, axis.covariance_mm2[3:6, 3:6]) + beside
+        np.kron(spread, np.outer(axis.a_mm, axis.a_mm))
+        + np.kron(mean, axis.covariance_mm2[3:6, 3:6])
+        + minor_covariance
     )
     return replace(axis, a_mm=radial[0] * axis.a_mm, b_mm=radial[1] * axis.a_mm, covariance_mm2=covariance)
 
 
-def sign_evidence(motions: Sequence[ImageMotion], axes: Sequence[ImageMotion]) -> list[float]:
+def evidence_from_phases(motions: Sequence[ImageMotion], axes: Sequence[ImageMotion]) -> list[float]:
     """What the cameras' phases say of the signs of their axes, as `straight_candidates` takes it.
 
     Parameters
@@ -67,18 +69,18 @@ def sign_evidence(motions: Sequence[ImageMotion], axes: Sequence[ImageMotion]) -
         One of each a camera: signed vectors, and the same without phase.
     """
     phasors = [
-        _phasor(motion, axis.a_px / max(float(np.hypot(*axis.a_px)), 1e-12))
+        _camera_phasor(motion, axis.a_px / max(float(np.hypot(*axis.a_px)), 1e-12))
         for motion, axis in zip(motions, axes, strict=True)
     ]
-    firmest = max(phasors, key=abs)
-    return [2 * (_log_i0(abs(firmest + one)) - _log_i0(abs(firmest - one))) for one in phasors]
+    reference = max(phasors, key=abs)
+    return [2 * (_log_i0(abs(reference + one)) - _log_i0(abs(reference - one))) for one in phasors]
 
 
 def _log_i0(kappa: float) -> float:
     return float(np.log(ive(0, kappa))) + kappa
 
 
-def _phasor(motion: ImageMotion, along: FloatArray) -> complex:
+def _camera_phasor(motion: ImageMotion, along: FloatArray) -> complex:
     """Concentration and phase that one camera gives, as a complex number."""
     phasor = complex(motion.a_px @ along, motion.b_px @ along)
     size = abs(phasor)
@@ -95,12 +97,12 @@ def _concentration(resultant: float) -> float:
     """κ of a von Mises distribution with a mean resultant length."""
     if resultant <= 1e-6:
         return 0.0
-    if resultant >= _moments(MOST)[0]:
-        return MOST
-    return float(brentq(lambda kappa: _moments(kappa)[0] - resultant, 0.0, MOST))
+    if resultant >= _circular_moments(MAX_CONCENTRATION)[0]:
+        return MAX_CONCENTRATION
+    return float(brentq(lambda kappa: _circular_moments(kappa)[0] - resultant, 0.0, MAX_CONCENTRATION))
 
 
-def _moments(kappa: float) -> tuple[float, float]:
+def _circular_moments(kappa: float) -> tuple[float, float]:
     """Mean of cos δ and of cos 2δ."""
     none = float(ive(0, kappa))
     return float(ive(1, kappa)) / none, float(ive(2, kappa)) / none

@@ -30,7 +30,7 @@ class PhotoModelerProject:
         Name and exterior orientation of each picture.
     point_ids, points, point_sd
         Ids, (p, 3) coordinates and (p, 3) standard deviations of control and object points.
-    picture, point
+    image, point
         (n,) index of each pixel's picture and point.
     image_px, sd_px
         (n, 2) pixels, centres at integers, and their standard deviations.
@@ -42,7 +42,7 @@ class PhotoModelerProject:
     point_ids: tuple[int, ...]
     points: FloatArray
     point_sd: FloatArray
-    picture: IntArray
+    image: IntArray
     point: IntArray
     image_px: FloatArray
     sd_px: FloatArray

@@ -18,14 +18,14 @@ from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.geometry.control import check_control
+from labdaemon.geometry.data_snooping import RobustPointAdjustment, exclusion_reason
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.orbit import largest_sign, principal_axes
-from labdaemon.geometry.snoop import PointProblem, reason
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
-SMALLEST_SURVEY_SD_MM = 0.05
+MIN_SURVEY_SD_MM = 0.05
 """What a survey can hardly beat; judges coplanarity where a smaller one is claimed."""
 COPLANAR_SIGNIFICANCE = 0.001
 
@@ -78,7 +78,7 @@ class Plane:
         """(3,) unit vector across the plane."""
         return np.cross(self.axes[:, 0], self.axes[:, 1])
 
-    def moved(self, change: FloatArray) -> Plane:
+    def apply_change(self, change: FloatArray) -> Plane:
         """Plane with its transform changed by (8,)."""
         return replace(self, transform=self.transform + change)
 
@@ -155,7 +155,7 @@ def fit_plane(
     sd_image = np.broadcast_to(np.asarray(sd_image_px, dtype=float), (count,))
     sd_object = np.broadcast_to(np.asarray(sd_object_mm, dtype=float), (count,))
     check_control(names, image_px, object_mm)
-    origin, along, off_plane = _trace(object_mm, sd_object, names)
+    origin, along, off_plane = _fit_trace(object_mm, sd_object, names)
     axes = np.column_stack([along, [0.0, 0.0, 1.0]])
     plane_mm = (object_mm - origin) @ axes
     if np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)[1] < 0.02 * np.ptp(plane_mm, axis=0).max():
@@ -171,13 +171,13 @@ def fit_plane(
         survey = (sd_object**2)[:, None, None] * by_point @ np.swapaxes(by_point, 1, 2)
         return image_px - computed, survey + (sd_image**2)[:, None, None] * np.eye(2), by_transform
 
-    problem = PointProblem(linearise, Plane.moved)
+    problem = RobustPointAdjustment(linearise, Plane.apply_change)
     every = np.ones(count)
-    starts = sorted(_starts(start, (plane_mm - centre) / scale, slopes), key=problem.cost)[:4]
+    starts = sorted(_initial_planes(start, (plane_mm - centre) / scale, slopes), key=problem.cost)[:4]
     if not starts:
         raise DataError("no projective transform fits the control targets: frame and survey do not belong together")
     plane = min((problem.adjust(s, every, robust=True, steps=20) for s in starts), key=problem.cost)
-    plane, used = problem.snoop(plane, least=4)
+    plane, used = problem.reject_outliers(plane, min_points=4)
     residuals, squares = linearise(plane)[0], problem.squares(plane)
     freedom = 2 * int(used.sum()) - 8
     sigma0 = float(np.sqrt(squares[used].sum() / freedom)) if freedom else float("nan")
@@ -197,12 +197,14 @@ def fit_plane(
         residuals_px=residuals,
         used=used,
         off_plane_mm=off_plane,
-        excluded={names[i]: reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()},
+        excluded={names[i]: exclusion_reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()},
         sigma0=sigma0,
     )
 
 
-def seen_unmoved(plane: Plane, motion: ImageMotion, sharp: View, moved: Sequence[View]) -> ImageMotion:
+def compensate_camera_motion(
+    plane: Plane, motion: ImageMotion, sharp: OrientedCamera, displaced: Sequence[OrientedCamera]
+) -> ImageMotion:
     """Picture that a motion would have had, had the camera not moved since the sharp frame.
 
     Parameters
@@ -211,7 +213,7 @@ def seen_unmoved(plane: Plane, motion: ImageMotion, sharp: View, moved: Sequence
         From `fit_plane`, on the sharp frame.
     motion
         What was seen.
-    sharp, moved
+    sharp, displaced
         The camera as it stood in the sharp frame, and in each frame that `motion` was measured in (means are taken).
 
     Returns
@@ -225,15 +227,15 @@ def seen_unmoved(plane: Plane, motion: ImageMotion, sharp: View, moved: Sequence
     for _ in range(2):
         place = plane.to_object(plane.to_plane(back[None]))
         pixels, by_point, _ = sharp.project_with_jacobians(place)
-        then = [view.project_with_jacobians(place)[:2] for view in moved]
+        then = [camera.project_with_jacobians(place)[:2] for camera in displaced]
         back = motion.mean_px - np.mean([other[0] - pixels[0] for other, _ in then], axis=0)
         if not np.isfinite(back).all():
             return replace(motion, mean_px=back)
         turn = np.mean([by_point[0] @ plane.axes @ np.linalg.inv(by[0] @ plane.axes) for _, by in then], axis=0)
-    return _turned(motion, turn, back - motion.mean_px)
+    return _transform_motion(motion, turn, back - motion.mean_px)
 
 
-def _turned(motion: ImageMotion, turn: FloatArray, shift: FloatArray) -> ImageMotion:
+def _transform_motion(motion: ImageMotion, turn: FloatArray, shift: FloatArray) -> ImageMotion:
     every = np.kron(np.eye(3), turn)
     return replace(
         motion,
@@ -241,11 +243,11 @@ def _turned(motion: ImageMotion, turn: FloatArray, shift: FloatArray) -> ImageMo
         a_px=turn @ motion.a_px,
         b_px=turn @ motion.b_px,
         covariance_px2=every @ motion.covariance_px2 @ every.T,
-        axes=None if motion.axes is None else _turned(motion.axes, turn, shift),
+        axes=None if motion.axes is None else _transform_motion(motion.axes, turn, shift),
     )
 
 
-def motion_on_plane(plane: Plane, motion: ImageMotion) -> ObjectMotion:
+def map_motion_to_plane(plane: Plane, motion: ImageMotion) -> ObjectMotion:
     """Motion in object space of a target that stays in the plane.
 
     Parameters
@@ -261,9 +263,9 @@ def motion_on_plane(plane: Plane, motion: ImageMotion) -> ObjectMotion:
         All three components of mean, a and b lie in the plane. What one camera cannot see is the component across it;
         the covariance of the axis nearest to the plane's normal is NaN.
     """
-    picture = np.concatenate([motion.mean_px, motion.a_px, motion.b_px])
+    image = np.concatenate([motion.mean_px, motion.a_px, motion.b_px])
     nothing = np.full(3, np.nan)
-    if not np.isfinite(picture).all():
+    if not np.isfinite(image).all():
         return ObjectMotion(nothing, nothing, nothing, np.full((9, 9), np.nan))
     state = np.zeros((3, 2))
     state[0] = plane.to_plane(motion.mean_px[None])[0]
@@ -271,7 +273,7 @@ def motion_on_plane(plane: Plane, motion: ImageMotion) -> ObjectMotion:
         return ObjectMotion(nothing, nothing, nothing, np.full((9, 9), np.nan))
     for _ in range(20):
         computed, by_motion, _ = project_motion(plane.project_with_jacobians, state)
-        step = np.linalg.solve(by_motion, picture - computed)
+        step = np.linalg.solve(by_motion, image - computed)
         state = state + step.reshape(3, 2)
         if np.abs(step).max() < 1e-10 * plane.scale_mm:
             break
@@ -294,10 +296,12 @@ def motion_on_plane(plane: Plane, motion: ImageMotion) -> ObjectMotion:
     return ObjectMotion(mean_mm, a_mm, b_mm, full)
 
 
-def _trace(object_mm: FloatArray, sd_mm: FloatArray, names: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _fit_trace(
+    object_mm: FloatArray, sd_mm: FloatArray, names: Sequence[str]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Foot of the intercept (3,), level unit vector along the trace (3,), and distances from the plane (n,)."""
     plan = object_mm[:, :2]
-    sd = np.maximum(sd_mm, SMALLEST_SURVEY_SD_MM)
+    sd = np.maximum(sd_mm, MIN_SURVEY_SD_MM)
     _, _, main = np.linalg.svd((plan - plan.mean(axis=0)) / sd[:, None])
     steep = abs(main[0, 1]) > abs(main[0, 0])
     given, wanted = (plan[:, 1], plan[:, 0]) if steep else (plan[:, 0], plan[:, 1])
@@ -328,7 +332,7 @@ def _trace(object_mm: FloatArray, sd_mm: FloatArray, names: Sequence[str]) -> tu
     return np.append(origin, 0.0), np.append(direction, 0.0), distances
 
 
-def _starts(plane: Plane, local: FloatArray, slopes: FloatArray) -> list[Plane]:
+def _initial_planes(plane: Plane, local: FloatArray, slopes: FloatArray) -> list[Plane]:
     """Linear solutions of the transform from all points and from sets of four, in front of the camera."""
     count = len(local)
     sets = [np.arange(count)]

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from labdaemon.geometry.bundle import Adjustment, adjust
+from labdaemon.geometry.bundle import Adjustment, adjust_network
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.network import Network
 
 SIGNIFICANCE = 0.001
 """Chance that a network without gross errors loses an observation (shared between all of them)."""
-_LEAST_REDUNDANCY = 1e-6
+_MIN_REDUNDANCY = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class GrossError:
     ----------
     kind
         ``sighting`` (misread or misidentified in one picture) or ``survey`` (mis-surveyed control).
-    point, picture
+    point, image
         Name of the point; index of the picture, -1 for a survey.
     test
         Residual over its standard deviation.
@@ -42,7 +42,7 @@ class GrossError:
 
     kind: Literal["sighting", "survey"]
     point: str
-    picture: int
+    image: int
     test: float
     size: float
 
@@ -53,7 +53,7 @@ class ObservationTests:
 
     Attributes
     ----------
-    sightings, redundancy
+    observations, redundancy
         (n,) squared normalised residuals (two degrees of freedom), and the share of each sighting that is checked by
         the others, 0..1.
     survey
@@ -62,32 +62,32 @@ class ObservationTests:
         (n,) smallest error of a sighting that is found with a power of 80 %, px; inf where nothing checks it.
     """
 
-    sightings: FloatArray
+    observations: FloatArray
     redundancy: FloatArray
     survey: FloatArray
     survey_error: FloatArray
     detectable_px: FloatArray
 
 
-def observation_tests(adjustment: Adjustment) -> ObservationTests:
+def compute_observation_tests(adjustment: Adjustment) -> ObservationTests:
     """Test every observation of an adjustment against its stated standard deviation."""
     network = adjustment.network
     variance = 1.0 / network.weights
     eye = np.eye(2)
     left = variance[:, None, None] * eye - adjustment.fitted_cofactor()
-    share = np.clip(np.trace(left, axis1=1, axis2=2) / (2.0 * variance), 0.0, 1.0)
-    checked = share > _LEAST_REDUNDANCY
-    sightings, detectable = np.zeros(len(share)), np.full(len(share), np.inf)
+    redundancy = np.clip(np.trace(left, axis1=1, axis2=2) / (2.0 * variance), 0.0, 1.0)
+    checked = redundancy > _MIN_REDUNDANCY
+    observations, detectable = np.zeros(len(redundancy)), np.full(len(redundancy), np.inf)
     safe = left[checked] + 1e-9 * variance[checked, None, None] * eye
     residuals = adjustment.residuals_px[checked]
-    sightings[checked] = np.einsum("ni,ni->n", residuals, np.linalg.solve(safe, residuals[..., None])[..., 0])
+    observations[checked] = np.einsum("ni,ni->n", residuals, np.linalg.solve(safe, residuals[..., None])[..., 0])
     # Non-centrality of a test of one direction at 0.1 % and 80 %: (3.29 + 0.84)².
-    detectable[checked] = 4.13 * np.sqrt(variance[checked] / share[checked])
-    survey, survey_error = _test_survey(adjustment)
-    return ObservationTests(sightings, share, survey, survey_error, detectable)
+    detectable[checked] = 4.13 * np.sqrt(variance[checked] / redundancy[checked])
+    survey, survey_error = _compute_survey_tests(adjustment)
+    return ObservationTests(observations, redundancy, survey, survey_error, detectable)
 
 
-def _test_survey(adjustment: Adjustment) -> tuple[FloatArray, FloatArray]:
+def _compute_survey_tests(adjustment: Adjustment) -> tuple[FloatArray, FloatArray]:
     """(p,) squared normalised survey residuals, and (p,) estimated sizes of the errors behind them."""
     network = adjustment.network
     sd = network.survey_sd
@@ -100,7 +100,7 @@ def _test_survey(adjustment: Adjustment) -> tuple[FloatArray, FloatArray]:
         axes = np.flatnonzero(known[point])
         variance = np.diag(sd[point, axes] ** 2)
         left = variance - cofactor[point][np.ix_(axes, axes)]
-        if np.trace(left) < _LEAST_REDUNDANCY * np.trace(variance):
+        if np.trace(left) < _MIN_REDUNDANCY * np.trace(variance):
             continue
         residual = adjustment.survey_residuals[point, axes]
         solved = np.linalg.pinv(left, rcond=1e-6, hermitian=True) @ residual
@@ -114,36 +114,36 @@ def find_gross_error(adjustment: Adjustment, names: Sequence[str]) -> GrossError
 
     Residuals larger than stated throughout (sigma0 above 1) raise the limit: they are a matter of weights.
     """
-    network, tests = adjustment.network, observation_tests(adjustment)
+    network, tests = adjustment.network, compute_observation_tests(adjustment)
     sd = network.survey_sd
     freedom = ((sd > 0) & np.isfinite(sd)).sum(axis=1)
-    typical = float(np.median(tests.sightings)) / float(chi2.median(2)) if len(tests.sightings) else 1.0
-    scale = max(1.0, typical)
-    count = len(tests.sightings) + int((freedom > 0).sum())
+    median_ratio = float(np.median(tests.observations)) / float(chi2.median(2)) if len(tests.observations) else 1.0
+    scale = max(1.0, median_ratio)
+    count = len(tests.observations) + int((freedom > 0).sum())
     limit = np.log(SIGNIFICANCE / count)
-    sighting_chance = chi2.logsf(tests.sightings / scale, 2)
-    survey_chance = np.where(freedom > 0, chi2.logsf(tests.survey / scale, np.maximum(freedom, 1)), 0.0)
-    first = int(np.argmin(sighting_chance)) if len(sighting_chance) else -1
-    second = int(np.argmin(survey_chance)) if len(survey_chance) else -1
-    least_sighting = sighting_chance[first] if first >= 0 else 0.0
-    least_survey = survey_chance[second] if second >= 0 else 0.0
-    if min(least_sighting, least_survey) > limit:
+    observation_log_p = chi2.logsf(tests.observations / scale, 2)
+    survey_log_p = np.where(freedom > 0, chi2.logsf(tests.survey / scale, np.maximum(freedom, 1)), 0.0)
+    first = int(np.argmin(observation_log_p)) if len(observation_log_p) else -1
+    second = int(np.argmin(survey_log_p)) if len(survey_log_p) else -1
+    min_observation_log_p = observation_log_p[first] if first >= 0 else 0.0
+    min_survey_log_p = survey_log_p[second] if second >= 0 else 0.0
+    if min(min_observation_log_p, min_survey_log_p) > limit:
         return None
-    if least_survey <= least_sighting:
+    if min_survey_log_p <= min_observation_log_p:
         size = float(tests.survey_error[second])
         return GrossError("survey", names[second], -1, float(np.sqrt(tests.survey[second])), size)
     size = float(np.linalg.norm(adjustment.residuals_px[first]) / max(tests.redundancy[first], 1e-3))
     return GrossError(
         "sighting",
         names[network.point[first]],
-        int(network.picture[first]),
-        float(np.sqrt(tests.sightings[first])),
+        int(network.image[first]),
+        float(np.sqrt(tests.observations[first])),
         size,
     )
 
 
 def adjust_without_gross_errors(
-    network: Network, names: Sequence[str], *, most: int = 50
+    network: Network, names: Sequence[str], *, max_errors: int = 50
 ) -> tuple[Adjustment, tuple[str, ...], list[GrossError]]:
     """Adjust, leave out the worst gross error, and again until all observations agree.
 
@@ -151,7 +151,7 @@ def adjust_without_gross_errors(
     ----------
     network, names
         Observations, and (p,) names of the points.
-    most
+    max_errors
         Give up removing after so many; a network that bad needs eyes.
 
     Returns
@@ -161,8 +161,8 @@ def adjust_without_gross_errors(
         the errors in the order found.
     """
     found: list[GrossError] = []
-    adjustment = adjust(network, names=names)
-    for _ in range(most):
+    adjustment = adjust_network(network, names=names)
+    for _ in range(max_errors):
         worst = find_gross_error(adjustment, names)
         if worst is None:
             break
@@ -176,15 +176,15 @@ def adjust_without_gross_errors(
             sd = network.survey_sd.copy()
             sd[index] = np.inf
             points[index] = adjusted.points[index]
-            network, names = without(replace(start, control_sd=sd, points=points), names)
+            network, names = select_observations(replace(start, control_sd=sd, points=points), names)
         else:
-            keep = ~((network.point == index) & (network.picture == worst.picture))
-            network, names = without(start, names, keep)
-        adjustment = adjust(network, names=names)
+            keep = ~((network.point == index) & (network.image == worst.image))
+            network, names = select_observations(start, names, keep)
+        adjustment = adjust_network(network, names=names)
     return adjustment, tuple(names), found
 
 
-def without(
+def select_observations(
     network: Network, names: Sequence[str], keep: NDArray[np.bool_] | None = None
 ) -> tuple[Network, tuple[str, ...]]:
     """Network with only the sightings to keep, and only points whose place these or their survey fix.
@@ -214,7 +214,7 @@ def without(
     reduced = replace(
         network,
         points=network.points[stay],
-        picture=network.picture[keep],
+        image=network.image[keep],
         point=place[network.point[keep]],
         image_px=network.image_px[keep],
         sd_px=sd[keep],

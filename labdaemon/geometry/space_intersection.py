@@ -10,36 +10,36 @@ from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
-from labdaemon.geometry.continuity import Witness, choose
-from labdaemon.geometry.intersect import Candidate
-from labdaemon.geometry.loose_phase import sign_evidence, with_phase
-from labdaemon.geometry.match import orbit_candidates, phased_candidate, straight_candidates
+from labdaemon.geometry.continuity import ResolvedNeighbour, resolve_by_neighbours
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
+from labdaemon.geometry.motion_adjustment import Candidate
+from labdaemon.geometry.motion_candidates import orbit_candidates, phased_candidate, straight_candidates
 from labdaemon.geometry.orbit import largest_sign, principal_axes
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
+from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases
 
-CLEARLY_WORSE = 14.0
+MATCH_COST_GAP = 14.0
 """Difference of squared residuals that settles a match: the runner-up is a thousand times less likely."""
-DISTINCT = 0.01
+DISTINCT_PROBABILITY = 0.01
 """Chance below which two candidates count as different; others agree within their stated uncertainty."""
-STRAIGHT = 12.0
+STRAIGHT_RATIO2 = 12.0
 """Squared ratio of a minor axis to its standard deviation below which a path counts as straight."""
-NOT_STRAIGHT = 1e-3
+ORBIT_TRIAL_PROBABILITY = 1e-3
 """Chance of a straight path's residuals in two cameras below which an orbit is tried."""
-ORBIT_GAIN = 4.0
+ORBIT_COST_GAIN = 4.0
 """What an orbit's two further parameters must take off the squared residuals of three cameras (Akaike)."""
-ALIKE_MM = 0.02
+SAME_ROOT_MM = 0.02
 """Two roots of an orbit this close are one for any practical purpose."""
-SIGNS_DISAGREE = 1e-3
+SIGN_CONFLICT_PROBABILITY = 1e-3
 """Chance of the residuals of signed vectors below which one camera must have taken the wrong one of two orbits."""
-POOR_FIT = 1e-6
+POOR_FIT_PROBABILITY = 1e-6
 """Chance of the residuals below which cameras do not see the same point."""
 POOR_FIT_PX = 0.2
 """Residuals smaller than this harm nothing, however small the stated uncertainty."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Joined:
+class IntersectedMotion:
     """A target's motion and what else it might be.
 
     Attributes
@@ -48,7 +48,7 @@ class Joined:
         The best solution.
     alternative
         The runner-up that could not be excluded; None when the match is settled, or an orbit's two roots merge.
-    settled_by
+    resolved_by
         ``residual`` (two cameras), ``third camera``, ``phase``, ``continuity``; empty where not settled.
     evidence
         Logarithm of the odds for the motion against its alternative, from the residuals alone.
@@ -56,17 +56,17 @@ class Joined:
 
     motion: ObjectMotion
     alternative: ObjectMotion | None = None
-    settled_by: str = ""
+    resolved_by: str = ""
     evidence: float = 0.0
 
 
-def join(
-    views: Sequence[View],
+def intersect_motion(
+    cameras: Sequence[OrientedCamera],
     motions: Sequence[ImageMotion],
     *,
     covariance: FloatArray | None = None,
     evidence: Sequence[float] | None = None,
-) -> Joined:
+) -> IntersectedMotion:
     """Motion in space of one target seen by several cameras.
 
     Straight motion is matched by its ends, orbits by their second moments, signed vectors directly. A path counts as
@@ -74,7 +74,7 @@ def join(
 
     Parameters
     ----------
-    views, motions
+    cameras, motions
         One of each a camera, in the same order; cameras without a finite measurement are left out.
     covariance
         (6 n, 6 n) joint covariance of the cameras' exterior parameters; without it each view's own is taken, the
@@ -93,57 +93,62 @@ def join(
     """
     seen = [i for i, m in enumerate(motions) if np.isfinite([*m.mean_px, *m.a_px, *m.b_px]).all()]
     if covariance is None:
-        covariance = np.zeros((6 * len(views), 6 * len(views)))
-        for i, view in enumerate(views):
-            covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = view.covariance
+        covariance = np.zeros((6 * len(cameras), 6 * len(cameras)))
+        for i, camera in enumerate(cameras):
+            covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = camera.covariance
     rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in seen]) if seen else np.arange(0)
     exterior = covariance[np.ix_(rows, rows)]
-    views, motions = [views[i] for i in seen], [motions[i] for i in seen]
+    cameras, motions = [cameras[i] for i in seen], [motions[i] for i in seen]
     known = None if evidence is None else [evidence[i] for i in seen]
-    if len(views) < 2:
+    if len(cameras) < 2:
         raise DataError("seen by one camera only: its depth is unknown")
     phased = all(motion.phased for motion in motions)
-    loose = phased and any(motion.axes is not None for motion in motions)
-    if phased and not loose:
-        best = phased_candidate(views, exterior, motions)
+    phase_unresolved = phased and any(motion.axes is not None for motion in motions)
+    if phased and not phase_unresolved:
+        best = phased_candidate(cameras, exterior, motions)
         signed = _object_motion(best, None, phased=True)
-        if chi2.sf(best.square, best.freedom) < SIGNS_DISAGREE:
-            return Joined(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
-        return Joined(signed, settled_by="phase")
-    if loose:
-        axes = [_axes(motion) for motion in motions]
-        apart = join(views, axes, covariance=exterior, evidence=sign_evidence(motions, axes))
-        signed = with_phase(views, motions, apart.motion)
-        return replace(apart, motion=signed, alternative=None)
-    motions = [_axes(motion) for motion in motions]
-    candidates, straight = _candidates(views, exterior, motions, known)
+        if chi2.sf(best.cost, best.freedom) < SIGN_CONFLICT_PROBABILITY:
+            return IntersectedMotion(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
+        return IntersectedMotion(signed, resolved_by="phase")
+    if phase_unresolved:
+        axes = [_principal_motion(motion) for motion in motions]
+        unphased = intersect_motion(cameras, axes, covariance=exterior, evidence=evidence_from_phases(motions, axes))
+        signed = fuse_phases(cameras, motions, unphased.motion)
+        return replace(unphased, motion=signed, alternative=None)
+    motions = [_principal_motion(motion) for motion in motions]
+    candidates, straight = _unphased_candidates(cameras, exterior, motions, known)
     best, others = candidates[0], candidates[1:]
     # Residuals larger than stated mean noise larger than stated: it may have decided the match.
-    scale = max(1.0, best.square / best.freedom) if best.freedom > 0 else 1.0
-    ratio = float(np.sqrt(others[0].square / max(best.square, 1e-12))) if others else None
-    close = [other for other in others if _worse(best, other, scale) < CLEARLY_WORSE]
-    rival = next((other for other in close if _distinct(best, other)), None)
+    scale = max(1.0, best.cost / best.freedom) if best.freedom > 0 else 1.0
+    ratio = float(np.sqrt(others[0].cost / max(best.cost, 1e-12))) if others else None
+    close = [other for other in others if _cost_difference(best, other, scale) < MATCH_COST_GAP]
+    rival = next((other for other in close if _are_distinct(best, other)), None)
     joined = _object_motion(best, ratio, phased=False)
     # Two cameras fix five of an orbit's six numbers. Where its plane is nearly edge-on to one of them the two roots
     # merge, and linear theory no longer says how far apart they may be: only roots that agree are believed.
-    unfixed = not straight and len(views) == 2 and not (len(candidates) > 1 and _alike(*candidates[:2]))
-    if rival is None and not unfixed:
-        by_rays = not others or (others[0].square - best.square) / scale >= CLEARLY_WORSE or not others[0].against
-        return Joined(joined, settled_by=("residual" if len(views) == 2 else "third camera") if by_rays else "phase")
+    undetermined = not straight and len(cameras) == 2 and not (len(candidates) > 1 and _are_equal(*candidates[:2]))
+    if rival is None and not undetermined:
+        by_rays = not others or (others[0].cost - best.cost) / scale >= MATCH_COST_GAP or not others[0].sign_penalty
+        return IntersectedMotion(
+            joined, resolved_by=("residual" if len(cameras) == 2 else "third camera") if by_rays else "phase"
+        )
     joined = replace(joined, flags=joined.flags | {Flag.AMBIGUOUS})
     if rival is None:
-        return Joined(joined)
-    odds = 0.5 * _worse(best, rival, scale)
-    return Joined(joined, _object_motion(rival, ratio, phased=False), evidence=odds)
+        return IntersectedMotion(joined)
+    odds = 0.5 * _cost_difference(best, rival, scale)
+    return IntersectedMotion(joined, _object_motion(rival, ratio, phased=False), evidence=odds)
 
 
-def _worse(best: Candidate, other: Candidate, scale: float) -> float:
+def _cost_difference(best: Candidate, other: Candidate, scale: float) -> float:
     """By how much another candidate is the less likely, as a difference of squares."""
-    return (other.square - best.square) / scale + other.against - best.against
+    return (other.cost - best.cost) / scale + other.sign_penalty - best.sign_penalty
 
 
-def _candidates(
-    views: Sequence[View], exterior: FloatArray, motions: Sequence[ImageMotion], evidence: Sequence[float] | None
+def _unphased_candidates(
+    cameras: Sequence[OrientedCamera],
+    exterior: FloatArray,
+    motions: Sequence[ImageMotion],
+    evidence: Sequence[float] | None,
 ) -> tuple[list[Candidate], bool]:
     """Solutions without phase, best first, and whether they are straight.
 
@@ -152,17 +157,19 @@ def _candidates(
     if it explains them.
     """
     if not all(is_straight(motion) for motion in motions):
-        return orbit_candidates(views, exterior, motions), False
-    straight = straight_candidates(views, exterior, motions, evidence)
+        return orbit_candidates(cameras, exterior, motions), False
+    straight = straight_candidates(cameras, exterior, motions, evidence)
     best = straight[0]
     # Two cameras pay for an orbit with an ambiguity: only what a straight path cannot explain is called one.
-    suspect = best.square > best.freedom if len(views) > 2 else chi2.sf(best.square, best.freedom) < NOT_STRAIGHT
+    suspect = (
+        best.cost > best.freedom if len(cameras) > 2 else chi2.sf(best.cost, best.freedom) < ORBIT_TRIAL_PROBABILITY
+    )
     if suspect:
         try:
-            orbits = orbit_candidates(views, exterior, motions)
+            orbits = orbit_candidates(cameras, exterior, motions)
         except DataError:
             orbits = []
-        if orbits and best.square - orbits[0].square > (ORBIT_GAIN if len(views) > 2 else CLEARLY_WORSE):
+        if orbits and best.cost - orbits[0].cost > (ORBIT_COST_GAIN if len(cameras) > 2 else MATCH_COST_GAP):
             return orbits, False
     return straight, True
 
@@ -174,46 +181,46 @@ def is_straight(motion: ImageMotion) -> bool:
         return True
     along = motion.b_px / size
     variance = float(along @ motion.covariance_px2[4:, 4:] @ along)
-    return not size**2 > STRAIGHT * variance
+    return not size**2 > STRAIGHT_RATIO2 * variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JoinedTargets:
+class IntersectedTargets:
     """All targets of a capture.
 
     Attributes
     ----------
     motions
         By target's name; NaN where it could not be joined.
-    settled_by
-        How the match of each joined target was settled, as in `Joined`.
+    resolved_by
+        How the match of each joined target was settled, as in `IntersectedMotion`.
     refused
         Reason for each target that could not be joined.
     """
 
     motions: dict[str, ObjectMotion]
-    settled_by: dict[str, str]
+    resolved_by: dict[str, str]
     refused: dict[str, str]
 
 
-def join_targets(
-    views: Mapping[str, View],
+def intersect_targets(
+    cameras: Mapping[str, OrientedCamera],
     motions: Mapping[str, Mapping[str, ImageMotion]],
     *,
     covariance: FloatArray | None = None,
     members: Mapping[str, str] | None = None,
     evidence: Mapping[str, Mapping[str, float]] | None = None,
-) -> JoinedTargets:
+) -> IntersectedTargets:
     """Join all targets of a capture, then settle by continuity what the cameras left open.
 
     Parameters
     ----------
-    views
+    cameras
         By camera.
     motions
         By target, then by camera.
     covariance
-        (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `views`.
+        (6 n, 6 n) joint covariance of the exteriors, cameras in the order of `cameras`.
     members
         Structural member of each target, if known; without it all targets may be neighbours.
     evidence
@@ -221,36 +228,38 @@ def join_targets(
 
     Returns
     -------
-    JoinedTargets
+    IntersectedTargets
     """
     known = evidence or {}
-    cameras = list(views)
-    joined: dict[str, Joined] = {}
+    camera_names = list(cameras)
+    joined: dict[str, IntersectedMotion] = {}
     refused: dict[str, str] = {}
     nothing = np.full(3, np.nan)
-    for target, pictures in motions.items():
-        present = [i for i, camera in enumerate(cameras) if camera in pictures]
+    for target, images in motions.items():
+        present = [i for i, name in enumerate(camera_names) if name in images]
         rows = np.array([6 * i + k for i in present for k in range(6)], dtype=int)
         try:
-            joined[target] = join(
-                [views[cameras[i]] for i in present],
-                [pictures[cameras[i]] for i in present],
+            joined[target] = intersect_motion(
+                [cameras[camera_names[i]] for i in present],
+                [images[camera_names[i]] for i in present],
                 covariance=None if covariance is None else covariance[np.ix_(rows, rows)],
-                evidence=[known.get(target, {}).get(cameras[i], 0.0) for i in present],
+                evidence=[known.get(target, {}).get(camera_names[i], 0.0) for i in present],
             )
         except DataError as exc:
             refused[target] = str(exc)
-    joined = settle_by_continuity(joined, members)
+    joined = resolve_ambiguous_targets(joined, members)
     result = {
         target: joined[target].motion
         if target in joined
         else ObjectMotion(nothing, nothing, nothing, np.full((9, 9), np.nan))
         for target in motions
     }
-    return JoinedTargets(result, {name: entry.settled_by for name, entry in joined.items()}, refused)
+    return IntersectedTargets(result, {name: entry.resolved_by for name, entry in joined.items()}, refused)
 
 
-def settle_by_continuity(joined: Mapping[str, Joined], members: Mapping[str, str] | None = None) -> dict[str, Joined]:
+def resolve_ambiguous_targets(
+    joined: Mapping[str, IntersectedMotion], members: Mapping[str, str] | None = None
+) -> dict[str, IntersectedMotion]:
     """Choose between a target's two solutions by its settled neighbours (`labdaemon.geometry.continuity`).
 
     Parameters
@@ -268,32 +277,32 @@ def settle_by_continuity(joined: Mapping[str, Joined], members: Mapping[str, str
     result = dict(joined)
     unsettled = {name for name, entry in joined.items() if entry.alternative is not None}
     trusted = {
-        name: Witness(entry.motion.mean_mm, entry.motion.a_mm)
+        name: ResolvedNeighbour(entry.motion.mean_mm, entry.motion.a_mm)
         for name, entry in joined.items()
         if name not in unsettled and Flag.AMBIGUOUS not in entry.motion.flags
     }
     for name in sorted(unsettled):
         entry = joined[name]
         assert entry.alternative is not None
-        kin = [other for other in joined if other != name and _related(name, other, members)]
-        kin.sort(key=lambda other: float(np.linalg.norm(joined[other].motion.mean_mm - entry.motion.mean_mm)))
-        if not _representative([other in trusted for other in kin]):
+        near = [other for other in joined if other != name and _same_member(name, other, members)]
+        near.sort(key=lambda other: float(np.linalg.norm(joined[other].motion.mean_mm - entry.motion.mean_mm)))
+        if not _neighbours_represent([other in trusted for other in near]):
             continue
-        witnesses = [trusted[other] for other in kin if other in trusted]
+        neighbours = [trusted[other] for other in near if other in trusted]
         options = (entry.motion, entry.alternative)
-        choice = choose(options, entry.evidence, witnesses)
+        choice = resolve_by_neighbours(options, entry.evidence, neighbours)
         if choice is not None:
             motion = options[choice]
-            result[name] = Joined(replace(motion, flags=motion.flags - {Flag.AMBIGUOUS}), None, "continuity")
+            result[name] = IntersectedMotion(replace(motion, flags=motion.flags - {Flag.AMBIGUOUS}), None, "continuity")
     return result
 
 
-def _related(name: str, other: str, members: Mapping[str, str] | None) -> bool:
+def _same_member(name: str, other: str, members: Mapping[str, str] | None) -> bool:
     """Tell whether two targets are of the same member; all are where no members are known."""
     return members is None or members.get(name) == members.get(other)
 
 
-def _representative(settled: Sequence[bool]) -> bool:
+def _neighbours_represent(settled: Sequence[bool]) -> bool:
     """Tell whether a target's neighbours, nearest first, may speak for it.
 
     Where most of its nearest are open too (a column moving in the epipolar plane), those that are settled belong to
@@ -302,7 +311,7 @@ def _representative(settled: Sequence[bool]) -> bool:
     return sum(settled[:3]) >= 2 and 3 * sum(settled[:6]) >= 2 * len(settled[:6])
 
 
-def _axes(motion: ImageMotion) -> ImageMotion:
+def _principal_motion(motion: ImageMotion) -> ImageMotion:
     """Picture by its principal axes (cameras with phase joined to ones without lose it)."""
     if not motion.phased:
         return motion
@@ -312,24 +321,24 @@ def _axes(motion: ImageMotion) -> ImageMotion:
     return ImageMotion(motion.mean_px, a, b, covariance)
 
 
-def _distinct(first: Candidate, second: Candidate) -> bool:
+def _are_distinct(first: Candidate, second: Candidate) -> bool:
     """Tell whether two candidates differ by more than the uncertainty of the first."""
-    unlike = 0.0
+    distance2 = 0.0
     for axis in (1, 2):
         block = first.covariance_mm2[3 * axis : 3 * axis + 3, 3 * axis : 3 * axis + 3]
         if not np.isfinite(block).all():
             continue
         inverse = np.linalg.pinv(block + 1e-12 * np.eye(3), hermitian=True)
         here, there = first.motion_mm[axis], second.motion_mm[axis]
-        unlike = max(unlike, min(float((here - s * there) @ inverse @ (here - s * there)) for s in (1.0, -1.0)))
-    return unlike > chi2.isf(DISTINCT, 3)
+        distance2 = max(distance2, min(float((here - s * there) @ inverse @ (here - s * there)) for s in (1.0, -1.0)))
+    return distance2 > chi2.isf(DISTINCT_PROBABILITY, 3)
 
 
-def _alike(first: Candidate, second: Candidate) -> bool:
+def _are_equal(first: Candidate, second: Candidate) -> bool:
     """Tell whether two candidates are the same for any practical purpose."""
     here, there = first.motion_mm[1:], second.motion_mm[1:]
-    apart = np.minimum(np.abs(here - there).max(axis=1), np.abs(here + there).max(axis=1))
-    return bool(apart.max() < ALIKE_MM)
+    unphased = np.minimum(np.abs(here - there).max(axis=1), np.abs(here + there).max(axis=1))
+    return bool(unphased.max() < SAME_ROOT_MM)
 
 
 def _object_motion(candidate: Candidate, ratio: float | None, *, phased: bool) -> ObjectMotion:
@@ -342,7 +351,7 @@ def _object_motion(candidate: Candidate, ratio: float | None, *, phased: bool) -
         covariance = covariance * np.outer(nine, nine)
     poor = (
         candidate.freedom > 0
-        and candidate.square > chi2.isf(POOR_FIT, candidate.freedom)
+        and candidate.cost > chi2.isf(POOR_FIT_PROBABILITY, candidate.freedom)
         and candidate.worst_px > POOR_FIT_PX
     )
     flags = frozenset({Flag.POOR_FIT}) if poor else frozenset()

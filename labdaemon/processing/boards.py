@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError, UsageError
-from labdaemon.geometry.lattice import Node, grow_lattice, place_lattices, placed
+from labdaemon.geometry.lattice import Node, apply_placement, grow_lattice, place_lattices
 from labdaemon.imaging.codes import dictionary
 from labdaemon.imaging.dots import find_dots
 from labdaemon.imaging.raw import read_frame
@@ -188,7 +188,7 @@ def sheet_pictures(sheets: Sequence[SheetDots]) -> list[BoardPicture]:
         for sheet, lattice, placement in zip(sheets, lattices, place_lattices(marks), strict=True):
             if placement is None or len(lattice) < _FEWEST_POINTS:
                 continue
-            places = [placed(node, placement) for node in lattice]
+            places = [apply_placement(node, placement) for node in lattice]
             rows = list(lattice.values())
             pictures.append(
                 BoardPicture(

@@ -18,8 +18,8 @@ from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.network import Network, Pose
-from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors, without
-from labdaemon.geometry.view import rotation_from_vector
+from labdaemon.geometry.oriented_camera import rotation_from_vector
+from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors, select_observations
 from labdaemon.imaging.eccentricity import centre_shift
 from labdaemon.processing.boards import BoardPicture, Charuco, charuco_picture, sheet_dots, sheet_pictures
 
@@ -174,12 +174,12 @@ def calibrate(pictures: Sequence[BoardPicture], notes: Sequence[str] = ()) -> Ca
         The photographs do not determine the lens.
     """
     network, names = _network(pictures, *_rough(pictures))
-    adjustment, _, gross = adjust_without_gross_errors(network, names, most=MOST_GROSS_ERRORS)
+    adjustment, _, gross = adjust_without_gross_errors(network, names, max_errors=MOST_GROSS_ERRORS)
     if any(np.any(picture.radius_px > 0) for picture in pictures):
         lens, poses = adjustment.network.lenses[0], adjustment.network.poses
         assert isinstance(lens, Lens)
         network, names = _network(_circle_centres(pictures, lens, poses), lens, poses)
-        adjustment, _, gross = adjust_without_gross_errors(network, names, most=MOST_GROSS_ERRORS)
+        adjustment, _, gross = adjust_without_gross_errors(network, names, max_errors=MOST_GROSS_ERRORS)
     final = adjustment.network
     lens = final.lenses[0]
     assert isinstance(lens, Lens)
@@ -192,7 +192,7 @@ def calibrate(pictures: Sequence[BoardPicture], notes: Sequence[str] = ()) -> Ca
         files,
         final.image_px,
         adjustment.residuals_px,
-        final.picture,
+        final.image,
         (*notes, *(left_out_line(error, files) for error in gross)),
         tuple(weaknesses(lens, adjustment.interior_sd(), final.poses, final.image_px)),
     )
@@ -276,7 +276,7 @@ def _network(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequence[Pose]
         free_interior=(np.ones(9, dtype=np.bool_),),
         datum=True,
     )
-    return without(network, names)
+    return select_observations(network, names)
 
 
 def _circle_centres(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequence[Pose]) -> list[BoardPicture]:
@@ -296,6 +296,6 @@ def _circle_centres(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequenc
 def left_out_line(error: GrossError, files: Sequence[Path]) -> str:
     """Say which point of which photograph was left out."""
     return (
-        f"{files[error.picture].name}: point {error.point} left out, off by {error.size:.2f} px "
+        f"{files[error.image].name}: point {error.point} left out, off by {error.size:.2f} px "
         f"({error.test:.0f} times its standard deviation)"
     )

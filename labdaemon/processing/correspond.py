@@ -19,7 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 
 SD_PLACE_PX = 0.3
 """How well a dot's centre is known, orientation aside: lens model included."""
@@ -49,7 +49,7 @@ class SeenDots:
         (n,) semi-major axes: what foreshortening leaves alone.
     """
 
-    view: View
+    view: OrientedCamera
     centres_px: FloatArray
     radius_px: FloatArray
 
@@ -85,7 +85,7 @@ class _Candidate:
         return GATE * (sum(dot >= 0 for dot in self.dots) - 1) - self.cost
 
 
-def meet(views: Sequence[View], pixels: FloatArray) -> FloatArray:
+def meet(views: Sequence[OrientedCamera], pixels: FloatArray) -> FloatArray:
     """Intersect rays in the least-squares sense.
 
     Parameters
@@ -163,7 +163,7 @@ def _excess(cameras: Sequence[SeenDots], track: Track) -> float:
     values = [
         np.log(
             camera.radius_px[dot]
-            * camera.view.in_camera(track.place_mm[None])[0, 2]
+            * camera.view.to_camera_axes(track.place_mm[None])[0, 2]
             / np.mean(camera.view.lens.focal_px)
         )
         for camera, dot in zip(cameras, track.dots, strict=True)
@@ -230,7 +230,7 @@ def _cost(cameras: Sequence[SeenDots], dots: NDArray[np.intp], place: FloatArray
         covariance = by_exterior @ camera.view.covariance @ by_exterior.swapaxes(1, 2) + SD_PLACE_PX**2 * np.eye(2)
         with np.errstate(invalid="ignore"):
             total[rows] += np.einsum("ni,ni->n", miss, np.linalg.solve(covariance, miss[..., None])[..., 0])
-            depth = camera.view.in_camera(place[rows])[:, 2]
+            depth = camera.view.to_camera_axes(place[rows])[:, 2]
             radius_mm = camera.radius_px[dots[rows, c]] * depth / np.mean(camera.view.lens.focal_px)
             excess[rows, c] = np.log(radius_mm)
     seen = np.isfinite(excess)

@@ -12,10 +12,10 @@ import numpy as np
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.phase.signs import decide_sign
 from labdaemon.flags import Flag
-from labdaemon.geometry.join import join_targets
 from labdaemon.geometry.motion import ImageMotion, ObjectMotion
-from labdaemon.geometry.plane import motion_on_plane, seen_unmoved
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
+from labdaemon.geometry.plane import compensate_camera_motion, map_motion_to_plane
+from labdaemon.geometry.space_intersection import intersect_targets
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.sharpset import SharpSet
@@ -145,31 +145,31 @@ def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str
             continue
         picture = _image_motion(measurement)
         if frame.motions:
-            picture = seen_unmoved(plane, picture, camera.view, [m.view for m in frame.motions])
-        motion = motion_on_plane(plane, picture)
+            picture = compensate_camera_motion(plane, picture, camera.view, [m.camera for m in frame.motions])
+        motion = map_motion_to_plane(plane, picture)
         if np.isfinite(motion.mean_mm).all():
             result[target] = motion
     return result
 
 
-def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, View]:
+def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, OrientedCamera]:
     """Each camera as it stood in this capture."""
     # The captures of a group lie apart by less than a camera moves; the first one's place stands for all.
     return {
-        camera.name: frame.motions[0].view if frame.motions else camera.view
+        camera.name: frame.motions[0].camera if frame.motions else camera.view
         for camera, frame in zip(sharp.cameras, frames, strict=True)
     }
 
 
 def _in_space(
-    sharp: SharpSet, views: Mapping[str, View], by_target: _Seen, evidence: Mapping[str, Mapping[str, float]]
+    sharp: SharpSet, views: Mapping[str, OrientedCamera], by_target: _Seen, evidence: Mapping[str, Mapping[str, float]]
 ) -> dict[str, ObjectMotion]:
     """Several cameras: what their rays say together."""
     pictures = {
         target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
         for target, seen in by_target.items()
     }
-    joined = join_targets(views, pictures, covariance=sharp.covariance, evidence=evidence)
+    joined = intersect_targets(views, pictures, covariance=sharp.covariance, evidence=evidence)
     return {
         target: motion
         for target, motion in joined.motions.items()
@@ -178,7 +178,7 @@ def _in_space(
 
 
 def _sign(
-    views: Mapping[str, View],
+    views: Mapping[str, OrientedCamera],
     motion: ObjectMotion,
     seen: Mapping[str, Measurement],
     evidence: Mapping[str, float],

@@ -22,7 +22,7 @@ from labdaemon.blur.fit.refit import failure_flags
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
-from labdaemon.geometry.camera_motion import CameraMotion, camera_motion
+from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motion
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.lazily import LazyPicture
 from labdaemon.imaging.raw import read_frame
@@ -185,8 +185,8 @@ def _camera_motion(
     shift = np.array([still.shift_px for still in stills]).reshape(-1, 2)
     sd = [np.hypot(np.sqrt(np.trace(still.covariance_px2[:2, :2]) / 2), 0.01) for still in stills]
     try:
-        return camera_motion(
-            camera.orientation.view,
+        return estimate_camera_motion(
+            camera.orientation.camera,
             np.array([places[still.target] for still in stills]).reshape(-1, 3),
             sharp,
             sharp + shift,

@@ -15,8 +15,8 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.brown import forward_from_backward
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.network import Network
-from labdaemon.geometry.pmexport import read_photomodeler
-from labdaemon.geometry.reliability import adjust_without_gross_errors, without
+from labdaemon.geometry.photomodeler_export import read_photomodeler
+from labdaemon.geometry.reliability import adjust_without_gross_errors, select_observations
 from labdaemon.processing.calibration import MOST_GROSS_ERRORS, SD_PX, Calibration, left_out_line, weaknesses
 
 
@@ -56,7 +56,7 @@ def calibrate_export(file: Path) -> Calibration:
         project.poses,
         np.zeros(len(project.poses), dtype=np.intp),
         project.points,
-        project.picture,
+        project.image,
         project.point,
         project.image_px,
         SD_PX,
@@ -64,8 +64,8 @@ def calibrate_export(file: Path) -> Calibration:
         datum=True,
     )
     try:
-        network, names = without(network, [str(number) for number in project.point_ids])
-        adjustment, _, gross = adjust_without_gross_errors(network, names, most=MOST_GROSS_ERRORS)
+        network, names = select_observations(network, [str(number) for number in project.point_ids])
+        adjustment, _, gross = adjust_without_gross_errors(network, names, max_errors=MOST_GROSS_ERRORS)
     except DataError as exc:
         raise DataError(str(exc), file=file) from exc
     final = adjustment.network
@@ -80,7 +80,7 @@ def calibrate_export(file: Path) -> Calibration:
         files,
         final.image_px,
         adjustment.residuals_px,
-        final.picture,
+        final.image,
         tuple(left_out_line(error, files) for error in gross),
         tuple(weaknesses(adjusted, adjustment.interior_sd(), final.poses, final.image_px)),
     )

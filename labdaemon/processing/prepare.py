@@ -15,7 +15,7 @@ from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.orient import Orientation, orient
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.imaging.dots import find_dots
 from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.raw import read_frame
@@ -106,11 +106,11 @@ class PreparedCamera:
         return np.array([target.centre_px for target in self.targets]).reshape(-1, 2)
 
     @property
-    def view(self) -> View:
+    def view(self) -> OrientedCamera:
         """Where it stands; only for a camera that was oriented."""
         if self.orientation is None:
             raise UsageError(f"camera {self.name or self.file.name} was not oriented: it has no survey")
-        return self.orientation.view
+        return self.orientation.camera
 
     def renamed(self, keep: Sequence[int], names: Sequence[str]) -> PreparedCamera:
         """The same camera with only these targets, in this order, under these names."""
@@ -167,7 +167,7 @@ def prepare_frames(
         control = find_control(frame, frames, grey, survey.family, lens=survey.lens, known=known)
         _enough(control, survey, file, frame)
         orientation = _orient(control, survey, file)
-        sizes = _sizes(orientation.view, survey)
+        sizes = _sizes(orientation.camera, survey)
     dots = find_dots(grey, diameter_range_px=sizes, exclude=control.outlines)
     if not dots and sizes != ORDINARY_PX:
         dots = find_dots(grey, exclude=control.outlines)  # of other sizes than the rig file says: for a better message
@@ -272,10 +272,10 @@ def _enough(control: ControlTargets, survey: CameraSurvey, file: Path, frame: Ra
     )
 
 
-def _sizes(view: View, survey: CameraSurvey) -> tuple[float, float]:
+def _sizes(view: OrientedCamera, survey: CameraSurvey) -> tuple[float, float]:
     """Diameters of dots, px, that may be seen near the control targets: nominal, nearer, farther, badly printed."""
     places = np.array([(point.x_mm, point.y_mm, point.z_mm) for point in survey.control])
-    depth = view.in_camera(places)[:, 2]
+    depth = view.to_camera_axes(places)[:, 2]
     focal = float(np.mean(view.lens.focal_px))
     smallest = 0.7 * min(survey.diameters_mm) * focal / float(depth.max())
     largest = 1.5 * max(survey.diameters_mm) * focal / float(depth.min())

@@ -189,7 +189,7 @@ def _plane(camera: PreparedCamera, folder: DataFolder) -> Plane:
     surveyed = [points[name] for name in names]
     try:
         return fit_plane(
-            orientation.view.lens,
+            orientation.camera.lens,
             camera.control.centres_px[used],
             np.array([(point.x_mm, point.y_mm, point.z_mm) for point in surveyed]),
             names=names,
@@ -205,7 +205,7 @@ def _of_size(
 ) -> NDArray[np.intp]:
     """Dots whose size in the plane is one of those in use."""
     places = plane.to_object(plane.to_plane(seen.centres_px))
-    depth = seen.view.in_camera(places)[:, 2]
+    depth = seen.view.to_camera_axes(places)[:, 2]
     diameter = 2 * seen.radius_px * depth / np.mean(seen.view.lens.focal_px)
     off = np.abs(np.log(diameter[:, None] / np.array(sizes)[None])).min(axis=1)
     keep = np.flatnonzero(off < np.log(1 + SIZE_TOLERANCE))

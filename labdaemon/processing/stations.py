@@ -9,7 +9,7 @@ import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
-from labdaemon.geometry.together import ControlPoint, Sighting, orient_together
+from labdaemon.geometry.joint_orientation import ControlPoint, ImageObservation, orient_jointly
 from labdaemon.processing.correspond import SeenDots, correspond
 from labdaemon.processing.folder import DataFolder
 from labdaemon.processing.prepare import PreparedCamera
@@ -63,24 +63,24 @@ def stand_together(
         The control targets do not fit together.
     """
     control = [ControlPoint(p.name, np.array([p.x_mm, p.y_mm, p.z_mm]), p.sd_mm) for p in folder.control]
-    sightings = {camera.name: _control(camera) for camera in prepared}
+    observations = {camera.name: _control(camera) for camera in prepared}
     tracks = correspond([seen_dots(camera) for camera in prepared], sizes_mm) if ties else []
     for number, track in enumerate(track for track in tracks if track.sure):
         for camera, dot in zip(prepared, track.dots, strict=True):
             if dot >= 0:
                 x, y = camera.centres_px[dot]
-                sightings[camera.name].append(Sighting(f"{TIE}{number}", float(x), float(y), SD_TIE_PX))
+                observations[camera.name].append(ImageObservation(f"{TIE}{number}", float(x), float(y), SD_TIE_PX))
     try:
-        together = orient_together(
+        together = orient_jointly(
             {camera.name: camera.view.lens for camera in prepared},
-            sightings,
+            observations,
             control,
             side_mm=folder.rig.control.size_mm,
         )
     except DataError as exc:
         raise DataError(str(exc), file=prepared[0].file.parent) from None
     cameras = [
-        replace(camera, orientation=replace(together.orientations[camera.name], view=together.views[camera.name]))
+        replace(camera, orientation=replace(together.orientations[camera.name], camera=together.cameras[camera.name]))
         for camera in prepared
     ]
     notes = [
@@ -91,10 +91,10 @@ def stand_together(
     return cameras, together.covariance, notes
 
 
-def _control(camera: PreparedCamera) -> list[Sighting]:
+def _control(camera: PreparedCamera) -> list[ImageObservation]:
     control = camera.control
     return [
-        Sighting(name, float(x), float(y), float(sd), float(side))
+        ImageObservation(name, float(x), float(y), float(sd), float(side))
         for name, (x, y), sd, side in zip(
             control.names, control.centres_px, control.sd_px, control.side_px, strict=True
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.view import View, rotation_from_vector
+from labdaemon.geometry.oriented_camera import OrientedCamera, rotation_from_vector
 
 CONTROL_MM = np.array(
     [
@@ -35,16 +35,16 @@ def control_mm() -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def look(lens: Lens) -> Callable[..., View]:
+def look(lens: Lens) -> Callable[..., OrientedCamera]:
     """A camera at a place, aimed at a point, rolled by an angle."""
 
-    def aim(place: object, at: object = (0.0, 0.0, 370.0), roll: float = 0.0, lens: Lens = lens) -> View:
+    def aim(place: object, at: object = (0.0, 0.0, 370.0), roll: float = 0.0, lens: Lens = lens) -> OrientedCamera:
         position = np.array(place, dtype=float)
         forward = np.array(at, dtype=float) - position
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(forward, right), forward])
-        return View(lens, rotation_from_vector(np.array([0.0, 0.0, roll])) @ axes, position)
+        return OrientedCamera(lens, rotation_from_vector(np.array([0.0, 0.0, roll])) @ axes, position)
 
     return aim

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.geometry.lattice import grow_lattice, place_lattices, placed
+from labdaemon.geometry.lattice import apply_placement, grow_lattice, place_lattices
 from labdaemon.geometry.lens import Lens
 
 
@@ -17,10 +17,10 @@ def photograph(
     nodes = np.column_stack([i.ravel(), j.ravel()])
     sheet = np.column_stack([40.0 * nodes[:, 0], np.zeros(side**2), -40.0 * nodes[:, 1]])
     centre = sheet.mean(axis=0)
-    view = look(
+    camera = look(
         centre + np.array([700 * np.sin(tilt[0]), -900.0, 700 * np.sin(tilt[1])]), at=centre, roll=roll, lens=lens
     )
-    return view.project(sheet), nodes
+    return camera.project(sheet), nodes
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -41,7 +41,7 @@ def test_every_dot_gets_its_node(look, tilt, roll: float, missing: set[int], see
     marks.append({str(keep[row]): node for node, row in found.items()})
     placements = place_lattices(marks)
     assert placements[1] is not None
-    assert {placed(node, placements[1]): str(keep[row]) for node, row in found.items()} == {
+    assert {apply_placement(node, placements[1]): str(keep[row]) for node, row in found.items()} == {
         tuple(nodes[keep[row]]): str(keep[row]) for row in found.values()
     }
 
@@ -57,11 +57,11 @@ def test_placement_needs_two_marks_that_agree() -> None:
     marks[4] = {"d": (7, 7), "b": (0, 0), "c": (-3, 4)}
     placements = place_lattices(marks)
     assert placements[0] == (0, 0, 0)
-    assert placed((5, 5), placements[1]) == (0, 0)
-    assert placed((5, 8), placements[1]) == (3, 0)
+    assert apply_placement((5, 5), placements[1]) == (0, 0)
+    assert apply_placement((5, 8), placements[1]) == (3, 0)
     assert placements[2] is None
     assert placements[3] is None
-    assert placed((7, 7), placements[4]) == (10, 7)
+    assert apply_placement((7, 7), placements[4]) == (10, 7)
 
 
 def test_few_or_no_dots() -> None:

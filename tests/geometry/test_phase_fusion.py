@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labdaemon.geometry import ImageMotion, join
+from labdaemon.geometry import ImageMotion, intersect_motion
 from labdaemon.geometry.harmonic import project_motion
-from labdaemon.geometry.match import disagreement, straight_candidates
+from labdaemon.geometry.motion_candidates import sign_penalty_of, straight_candidates
 
 PLACES = [(-500, -1000, 300), (500, -1000, 500)]
 SD_PX = 0.005
 
 
-def seen(view, mean, v, phase: float, kappa: float, rng) -> ImageMotion:
+def seen(camera, mean, v, phase: float, kappa: float, rng) -> ImageMotion:
     """One camera's signed vectors, their phase drawn from a von Mises distribution; and the same without phase."""
     off = phase + rng.vonmises(0.0, kappa)
-    picture = project_motion(view.project_with_jacobians, np.stack([mean, v, 0 * v]))[0]
-    axis = picture[2:4] + SD_PX * rng.normal(size=2)
+    image = project_motion(camera.project_with_jacobians, np.stack([mean, v, 0 * v]))[0]
+    axis = image[2:4] + SD_PX * rng.normal(size=2)
     draws = np.array([[np.cos(p), np.sin(p)] for p in off + rng.vonmises(0.0, kappa, 4000)])
     away = (draws - [np.cos(off), np.sin(off)])[:, :, None] * axis
     covariance = np.eye(6) * SD_PX**2
     covariance[2:, 2:] += np.einsum("nij,nkl->ijkl", away, away).reshape(4, 4) / len(draws)
-    place = picture[:2] + SD_PX * rng.normal(size=2)
+    place = image[:2] + SD_PX * rng.normal(size=2)
     plain = ImageMotion(place, axis * rng.choice([-1.0, 1.0]), np.zeros(2), np.eye(6) * SD_PX**2)
     return ImageMotion(place, np.cos(off) * axis, np.sin(off) * axis, covariance, True, plain)
 
@@ -30,12 +30,12 @@ def seen(view, mean, v, phase: float, kappa: float, rng) -> ImageMotion:
 @pytest.mark.parametrize("kappa", [0.3, 3.0])
 def test_the_amplitude_survives_and_the_deviations_are_true(look, kappa: float) -> None:
     rng = np.random.default_rng(5)
-    views = [look(place, roll=0.1 * i) for i, place in enumerate(PLACES)]
+    cameras = [look(place, roll=0.1 * i) for i, place in enumerate(PLACES)]
     lengths, pulls = [], []
     for _ in range(80):
         mean, v = rng.uniform([-150, -80, 150], [150, 80, 600]), rng.normal(0, 0.3, 3)
         phase = rng.uniform(0, 2 * np.pi)
-        motion = join(views, [seen(view, mean, v, phase, kappa, rng) for view in views]).motion
+        motion = intersect_motion(cameras, [seen(camera, mean, v, phase, kappa, rng) for camera in cameras]).motion
         if motion.flags:
             continue
         lengths.append(np.hypot(np.linalg.norm(motion.a_mm), np.linalg.norm(motion.b_mm)) - np.linalg.norm(v))
@@ -49,25 +49,25 @@ def test_the_amplitude_survives_and_the_deviations_are_true(look, kappa: float) 
 def test_signs_settle_ends_that_the_rays_leave_open(look) -> None:
     """All in the epipolar plane: both matches fit alike, but only one agrees with where each camera saw the point."""
     rng = np.random.default_rng(3)
-    views = [look((-500, -1000, 370)), look((500, -1000, 370))]
+    cameras = [look((-500, -1000, 370)), look((500, -1000, 370))]
     for _ in range(10):
         mean, v = np.array([rng.uniform(-100, 100), rng.uniform(-60, 60), 370.0]), np.array([*rng.normal(0, 2, 2), 0.0])
         motions, evidence = [], []
-        for view in views:
-            picture = project_motion(view.project_with_jacobians, np.stack([mean, v, 0 * v]))[0]
+        for camera in cameras:
+            image = project_motion(camera.project_with_jacobians, np.stack([mean, v, 0 * v]))[0]
             turn = rng.choice([-1.0, 1.0])
-            place, a = picture[:2] + SD_PX * rng.normal(size=2), turn * (picture[2:4] + SD_PX * rng.normal(size=2))
+            place, a = image[:2] + SD_PX * rng.normal(size=2), turn * (image[2:4] + SD_PX * rng.normal(size=2))
             motions.append(ImageMotion(place, a, np.zeros(2), np.eye(6) * SD_PX**2))
             evidence.append(-30.0 * turn)  # at the middle of the exposure it stood at −v
-        joined = join(views, motions, evidence=evidence)
+        joined = intersect_motion(cameras, motions, evidence=evidence)
         assert not joined.motion.flags
         assert min(np.linalg.norm(joined.motion.a_mm - s * v) for s in (1, -1)) < 0.05
-        best = straight_candidates(views, np.zeros((12, 12)), motions, evidence)[0]
-        assert best.against == 0.0
+        best = straight_candidates(cameras, np.zeros((12, 12)), motions, evidence)[0]
+        assert best.sign_penalty == 0.0
 
 
 def test_evidence_speaks_against_one_match_whichever_end_it_was() -> None:
     evidence = np.array([20.0, -12.0, 0.0])
-    assert disagreement(evidence, (1.0, -1.0, 1.0)) == 0.0
-    assert disagreement(evidence, (-1.0, 1.0, 1.0)) == 0.0
-    assert disagreement(evidence, (1.0, 1.0, -1.0)) == 12.0
+    assert sign_penalty_of(evidence, (1.0, -1.0, 1.0)) == 0.0
+    assert sign_penalty_of(evidence, (-1.0, 1.0, 1.0)) == 0.0
+    assert sign_penalty_of(evidence, (1.0, 1.0, -1.0)) == 12.0

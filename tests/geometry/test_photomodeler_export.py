@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdaemon.errors import DataError
-from labdaemon.geometry.pmexport import read_photomodeler, rotation_from_angles
+from labdaemon.geometry.photomodeler_export import read_photomodeler, rotation_from_angles
 
 
 def test_reads_camcal(shared_data: Path) -> None:

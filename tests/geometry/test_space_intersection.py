@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
-from labdaemon.geometry import ImageMotion, Joined, ObjectMotion, join, join_targets, settle_by_continuity
+from labdaemon.geometry import (
+    ImageMotion,
+    IntersectedMotion,
+    ObjectMotion,
+    intersect_motion,
+    intersect_targets,
+    resolve_ambiguous_targets,
+)
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.orbit import principal_axes
@@ -18,13 +25,13 @@ LEVEL = [(-500, -1000, 370), (500, -1000, 370)]
 SD_PX = 0.01
 
 
-def cameras(look, places):
+def make_cameras(look, places):
     return [look(place, roll=0.1 * i) for i, place in enumerate(places)]
 
 
-def picture(view, mean, a, b, rng, *, phased: bool = False, sd: float = SD_PX) -> ImageMotion:
+def image(camera, mean, a, b, rng, *, phased: bool = False, sd: float = SD_PX) -> ImageMotion:
     """What a blur measurement reports of this motion: noise, and no more phase than it can see."""
-    numbers = project_motion(view.project_with_jacobians, np.stack([mean, a, b]))[0]
+    numbers = project_motion(camera.project_with_jacobians, np.stack([mean, a, b]))[0]
     numbers = numbers + sd * rng.normal(size=6) * ([1, 1, 1, 1, 0, 0] if not np.any(b) and not phased else [1] * 6)
     noise = np.eye(6) * max(sd, 1e-4) ** 2
     if phased:
@@ -50,7 +57,8 @@ coordinate = st.floats(-5, 5)
 def test_straight_motion_comes_back_exactly(look, place, a, seed: int) -> None:
     rng = np.random.default_rng(seed)
     mean, a = np.array(place), np.array(a)
-    joined = join(cameras(look, TWO), [picture(v, mean, a, 0 * a, rng, sd=0.0) for v in cameras(look, TWO)])
+    cameras = make_cameras(look, TWO)
+    joined = intersect_motion(cameras, [image(v, mean, a, 0 * a, rng, sd=0.0) for v in cameras])
     np.testing.assert_allclose(difference(joined.motion.a_mm, a), 0, atol=1e-4)
     np.testing.assert_allclose(joined.motion.mean_mm, mean, atol=1e-4)
     assert joined.motion.flags == frozenset()
@@ -62,11 +70,11 @@ def test_straight_motion_comes_back_exactly(look, place, a, seed: int) -> None:
 def test_phased_motion_comes_back_with_its_signs(look, a, b) -> None:
     rng = np.random.default_rng(0)
     mean, a, b = np.array([40.0, 20.0, 300.0]), np.array(a), np.array(b)
-    views = cameras(look, TWO)
-    joined = join(views, [picture(v, mean, a, b, rng, phased=True, sd=0.0) for v in views])
+    cameras = make_cameras(look, TWO)
+    joined = intersect_motion(cameras, [image(v, mean, a, b, rng, phased=True, sd=0.0) for v in cameras])
     np.testing.assert_allclose(joined.motion.a_mm, a, atol=1e-4)
     np.testing.assert_allclose(joined.motion.b_mm, b, atol=1e-4)
-    assert joined.settled_by == "phase"
+    assert joined.resolved_by == "phase"
 
 
 @pytest.mark.parametrize(
@@ -75,7 +83,7 @@ def test_phased_motion_comes_back_with_its_signs(look, a, b) -> None:
 def test_vectors_and_their_stated_uncertainty(look, places, kind: str) -> None:
     """95 % within 0.05 mm, at most 5 % flagged, pulls 0.8 to 1.3, nothing wrong without a flag."""
     rng = np.random.default_rng(21)
-    views = cameras(look, places)
+    cameras = make_cameras(look, places)
     errors, pulls, flagged = [], [], 0
     for _ in range(150):
         mean = rng.uniform([-150, -80, 150], [150, 80, 600])
@@ -85,7 +93,7 @@ def test_vectors_and_their_stated_uncertainty(look, places, kind: str) -> None:
             a, b, _ = principal_axes(a, b, np.zeros((6, 6)))
         if kind == "orbit" and np.linalg.norm(a) < 1.3 * np.linalg.norm(b):
             continue  # a circle has no axes to compare
-        joined = join(views, [picture(v, mean, a, b, rng, phased=kind == "phased") for v in views])
+        joined = intersect_motion(cameras, [image(v, mean, a, b, rng, phased=kind == "phased") for v in cameras])
         if joined.motion.flags:
             flagged += 1
             continue
@@ -103,15 +111,15 @@ def test_vectors_and_their_stated_uncertainty(look, places, kind: str) -> None:
 def test_camera_uncertainty_reaches_the_vectors(look) -> None:
     """With cameras misplaced by their stated covariance the pulls stay true: it is carried into every row."""
     rng = np.random.default_rng(3)
-    views = cameras(look, TWO)
+    cameras = make_cameras(look, TWO)
     half = rng.normal(size=(12, 12)) * np.tile([3e-4, 3e-4, 3e-4, 0.3, 0.3, 0.3], 2)[:, None] / np.sqrt(12)
     covariance = half @ half.T
     pulls, flagged = [], 0
     for _ in range(150):
         mean, a = rng.uniform([-150, -80, 150], [150, 80, 600]), rng.normal(0, 1, 3) * [30, 20, 5]
         shift = half @ rng.normal(size=12)
-        seen = [picture(v.moved(shift[6 * i : 6 * i + 6]), mean, a, 0 * a, rng) for i, v in enumerate(views)]
-        motion = join(views, seen, covariance=covariance).motion
+        seen = [image(v.apply_change(shift[6 * i : 6 * i + 6]), mean, a, 0 * a, rng) for i, v in enumerate(cameras)]
+        motion = intersect_motion(cameras, seen, covariance=covariance).motion
         if Flag.AMBIGUOUS in motion.flags:
             flagged += 1
             continue
@@ -125,12 +133,12 @@ def test_camera_uncertainty_reaches_the_vectors(look) -> None:
 def test_level_cameras_and_level_motion_are_never_silently_wrong(look) -> None:
     """All in the epipolar plane: both ways of matching the ends fit alike."""
     rng = np.random.default_rng(7)
-    views = cameras(look, LEVEL)
+    cameras = make_cameras(look, LEVEL)
     wrong = 0
     for _ in range(60):
         mean = np.array([rng.uniform(-100, 100), rng.uniform(-60, 60), 370.0])
         a = np.array([*rng.normal(0, 2, 2), 0.0])
-        joined = join(views, [picture(v, mean, a, 0 * a, rng) for v in views])
+        joined = intersect_motion(cameras, [image(v, mean, a, 0 * a, rng) for v in cameras])
         apart = np.linalg.norm(difference(joined.motion.a_mm, a))
         if Flag.AMBIGUOUS in joined.motion.flags:
             assert joined.alternative is not None
@@ -143,53 +151,53 @@ def test_level_cameras_and_level_motion_are_never_silently_wrong(look) -> None:
 
 def test_a_third_camera_settles_it(look) -> None:
     rng = np.random.default_rng(7)
-    views = cameras(look, [*LEVEL, (0, -1100, 900)])
+    cameras = make_cameras(look, [*LEVEL, (0, -1100, 900)])
     mean, a = np.array([20.0, 10.0, 370.0]), np.array([3.0, 1.0, 0.0])
-    joined = join(views, [picture(v, mean, a, 0 * a, rng) for v in views])
-    assert joined.settled_by == "third camera"
+    joined = intersect_motion(cameras, [image(v, mean, a, 0 * a, rng) for v in cameras])
+    assert joined.resolved_by == "third camera"
     assert Flag.AMBIGUOUS not in joined.motion.flags
     np.testing.assert_allclose(joined.motion.a_mm, a, atol=0.03)
 
 
 def test_phase_settles_it(look) -> None:
     rng = np.random.default_rng(7)
-    views = cameras(look, LEVEL)
+    cameras = make_cameras(look, LEVEL)
     mean, a = np.array([20.0, 10.0, 370.0]), np.array([-3.0, 1.0, 0.0])
-    joined = join(views, [picture(v, mean, a, 0.2 * a, rng, phased=True) for v in views])
-    assert joined.settled_by == "phase"
+    joined = intersect_motion(cameras, [image(v, mean, a, 0.2 * a, rng, phased=True) for v in cameras])
+    assert joined.resolved_by == "phase"
     np.testing.assert_allclose(joined.motion.a_mm, a, atol=0.03)
 
 
 def test_signed_vectors_that_contradict_each_other_are_flagged(look) -> None:
     """One camera took the mirrored orbit: three numbers too many tell, but not which camera."""
     rng = np.random.default_rng(7)
-    views = cameras(look, TWO)
+    cameras = make_cameras(look, TWO)
     mean, a, b = np.array([20.0, 10.0, 250.0]), np.array([-3.0, 1.0, 0.4]), np.array([0.4, 0.8, 1.2])
-    seen = [picture(v, mean, a, b, rng, phased=True) for v in views]
-    assert not join(views, seen).motion.flags
+    seen = [image(v, mean, a, b, rng, phased=True) for v in cameras]
+    assert not intersect_motion(cameras, seen).motion.flags
     mirrored = ImageMotion(seen[1].mean_px, seen[1].a_px, -seen[1].b_px, seen[1].covariance_px2, True)
-    joined = join(views, [seen[0], mirrored])
+    joined = intersect_motion(cameras, [seen[0], mirrored])
     assert Flag.AMBIGUOUS in joined.motion.flags
-    assert joined.settled_by == ""
+    assert joined.resolved_by == ""
 
 
 def test_continuity_along_a_member_settles_what_neighbours_tell(look) -> None:
     """A column swaying in X: at the cameras' height the match is open, above and below it is not."""
     rng = np.random.default_rng(1)
-    views = dict(zip("lr", cameras(look, LEVEL), strict=True))
+    cameras = dict(zip("lr", make_cameras(look, LEVEL), strict=True))
     heights = np.array([200.0, 250.0, 300.0, 370.0, 440.0, 500.0])
     shape = {f"C{i}": np.array([4.0, 0.3, 0.0]) * height / 400 for i, height in enumerate(heights)}
     shape = {name: a + np.array([0.0, 0.0, 0.3 * (i != 3)]) for i, (name, a) in enumerate(shape.items())}
-    pictures = {
-        name: {
-            camera: picture(view, np.array([30.0, 5.0, heights[i]]), a, 0 * a, rng) for camera, view in views.items()
-        }
+    images = {
+        name: {key: image(camera, np.array([30.0, 5.0, heights[i]]), a, 0 * a, rng) for key, camera in cameras.items()}
         for i, (name, a) in enumerate(shape.items())
     }
-    open_ones = [n for n, seen in pictures.items() if join(list(views.values()), list(seen.values())).alternative]
+    open_ones = [
+        n for n, seen in images.items() if intersect_motion(list(cameras.values()), list(seen.values())).alternative
+    ]
     assert open_ones == ["C3"]
-    result = join_targets(views, pictures, members=dict.fromkeys(shape, "column"))
-    assert result.settled_by["C3"] == "continuity"
+    result = intersect_targets(cameras, images, members=dict.fromkeys(shape, "column"))
+    assert result.resolved_by["C3"] == "continuity"
     for name, a in shape.items():
         assert Flag.AMBIGUOUS not in result.motions[name].flags
         np.testing.assert_allclose(result.motions[name].a_mm, a, atol=0.03)
@@ -202,40 +210,48 @@ def test_continuity_does_not_guess(look) -> None:
     def motion(x: float, a: tuple[float, float, float], *flags: Flag) -> ObjectMotion:
         return ObjectMotion(np.array([x, 0, 0]), np.array(a), np.zeros(3), nothing, 1.1, frozenset(flags))
 
-    unsettled = Joined(motion(50, (2, 0, 0), Flag.AMBIGUOUS), motion(50, (0, 2, 0)))
-    disagree = {"a": Joined(motion(0, (2, 0, 0))), "b": Joined(motion(100, (0, 2, 0))), "x": unsettled}
-    assert settle_by_continuity(disagree)["x"] is unsettled
-    agree = {"a": Joined(motion(0, (2, 0, 0))), "b": Joined(motion(100, (2, 0, 0))), "x": unsettled}
-    assert settle_by_continuity(agree)["x"].settled_by == "continuity"
-    assert settle_by_continuity(agree, {"a": "1", "b": "1", "x": "2"})["x"] is unsettled
-    assert settle_by_continuity({"a": agree["a"], "x": unsettled})["x"] is unsettled
+    unsettled = IntersectedMotion(motion(50, (2, 0, 0), Flag.AMBIGUOUS), motion(50, (0, 2, 0)))
+    disagree = {
+        "a": IntersectedMotion(motion(0, (2, 0, 0))),
+        "b": IntersectedMotion(motion(100, (0, 2, 0))),
+        "x": unsettled,
+    }
+    assert resolve_ambiguous_targets(disagree)["x"] is unsettled
+    agree = {
+        "a": IntersectedMotion(motion(0, (2, 0, 0))),
+        "b": IntersectedMotion(motion(100, (2, 0, 0))),
+        "x": unsettled,
+    }
+    assert resolve_ambiguous_targets(agree)["x"].resolved_by == "continuity"
+    assert resolve_ambiguous_targets(agree, {"a": "1", "b": "1", "x": "2"})["x"] is unsettled
+    assert resolve_ambiguous_targets({"a": agree["a"], "x": unsettled})["x"] is unsettled
     alone = {"x": unsettled, "y": unsettled}
-    assert settle_by_continuity(alone) == alone
+    assert resolve_ambiguous_targets(alone) == alone
 
 
 def test_an_orbit_seen_by_two_cameras_is_flagged_with_both_roots(look) -> None:
     rng = np.random.default_rng(5)
-    views = cameras(look, TWO)
+    cameras = make_cameras(look, TWO)
     mean, a, b = np.array([20.0, 10.0, 250.0]), np.array([3.0, 0.5, 1.0]), np.array([-0.3, 1.2, 0.4])
     b = b - (a @ b) / (a @ a) * a
-    joined = join(views, [picture(v, mean, a, b, rng) for v in views])
+    joined = intersect_motion(cameras, [image(v, mean, a, b, rng) for v in cameras])
     assert Flag.AMBIGUOUS in joined.motion.flags
     assert joined.alternative is not None
     apart = [np.linalg.norm(difference(m.a_mm, a)) for m in (joined.motion, joined.alternative)]
     assert min(apart) < 0.05
-    third = cameras(look, THREE)
-    settled = join(third, [picture(v, mean, a, b, rng) for v in third])
-    assert settled.settled_by == "third camera"
+    third = make_cameras(look, THREE)
+    settled = intersect_motion(third, [image(v, mean, a, b, rng) for v in third])
+    assert settled.resolved_by == "third camera"
     np.testing.assert_allclose(difference(settled.motion.b_mm, b), 0, atol=0.05)
 
 
 def test_a_target_seen_by_one_camera_only(look) -> None:
     rng = np.random.default_rng(5)
-    views = dict(zip("lr", cameras(look, TWO), strict=True))
+    cameras = dict(zip("lr", make_cameras(look, TWO), strict=True))
     mean, a = np.array([20.0, 10.0, 250.0]), np.array([3.0, 0.5, 0.1])
-    seen = {camera: picture(view, mean, a, 0 * a, rng) for camera, view in views.items()}
+    seen = {key: image(camera, mean, a, 0 * a, rng) for key, camera in cameras.items()}
     lost = ImageMotion(*[np.full(2, np.nan)] * 3, np.full((6, 6), np.nan))
-    result = join_targets(views, {"both": seen, "one": {"l": seen["l"]}, "lost": {"l": seen["l"], "r": lost}})
+    result = intersect_targets(cameras, {"both": seen, "one": {"l": seen["l"]}, "lost": {"l": seen["l"], "r": lost}})
     assert set(result.refused) == {"one", "lost"}
     assert all("one camera only" in reason for reason in result.refused.values())
     assert np.isnan(result.motions["one"].a_mm).all()
@@ -244,32 +260,32 @@ def test_a_target_seen_by_one_camera_only(look) -> None:
 
 def test_two_different_targets_under_one_name_are_flagged(look) -> None:
     rng = np.random.default_rng(5)
-    views = cameras(look, TWO)
+    cameras = make_cameras(look, TWO)
     a = np.array([3.0, 0.5, 0.1])
-    first = picture(views[0], np.array([20.0, 10.0, 250.0]), a, 0 * a, rng)
-    second = picture(views[1], np.array([20.0, 10.0, 290.0]), a, 0 * a, rng)
-    assert Flag.POOR_FIT in join(views, [first, second]).motion.flags
+    first = image(cameras[0], np.array([20.0, 10.0, 250.0]), a, 0 * a, rng)
+    second = image(cameras[1], np.array([20.0, 10.0, 290.0]), a, 0 * a, rng)
+    assert Flag.POOR_FIT in intersect_motion(cameras, [first, second]).motion.flags
 
 
 def test_parallel_rays_are_refused(look) -> None:
     rng = np.random.default_rng(5)
-    views = cameras(look, [(0, -1000, 300), (5, -1000, 300)])
+    cameras = make_cameras(look, [(0, -1000, 300), (5, -1000, 300)])
     a = np.array([3.0, 0.5, 0.1])
-    seen = [picture(v, np.array([20.0, 10.0, 250.0]), a, 0 * a, rng) for v in views]
+    seen = [image(v, np.array([20.0, 10.0, 250.0]), a, 0 * a, rng) for v in cameras]
     with pytest.raises(DataError, match="nearly parallel"):
-        join(views, seen)
+        intersect_motion(cameras, seen)
 
 
 def swaying_frame(look, rng, *, vectors) -> tuple[dict, dict]:
     """Two columns seen by cameras of almost one height; some targets' motion lies in the epipolar plane by chance."""
-    views = {"l": look((-450, -900, 419), at=(0, 0, 360)), "r": look((480, -900, 330), at=(0, 0, 360))}
-    true, pictures = {}, {}
+    cameras = {"l": look((-450, -900, 419), at=(0, 0, 360)), "r": look((480, -900, 330), at=(0, 0, 360))}
+    true, images = {}, {}
     for level in range(6):
         for x in (-75.0, 75.0):
             name, mean = f"{level}{'l' if x < 0 else 'r'}", np.array([x, 0.0, 140 + 80.0 * level])
             true[name] = vectors(rng, level, x)
-            pictures[name] = {c: picture(v, mean, true[name], 0 * mean, rng, sd=0.007) for c, v in views.items()}
-    return true, {"views": views, "pictures": pictures}
+            images[name] = {c: image(v, mean, true[name], 0 * mean, rng, sd=0.007) for c, v in cameras.items()}
+    return true, {"views": cameras, "pictures": images}
 
 
 def test_motion_like_the_others_settles_a_chance_ambiguity(look) -> None:
@@ -280,11 +296,11 @@ def test_motion_like_the_others_settles_a_chance_ambiguity(look) -> None:
         true, seen = swaying_frame(
             look, rng, vectors=lambda r, level, x: np.array([r.uniform(0.8, 3.4), r.normal(0, 0.8), r.normal(0, 0.13)])
         )
-        result = join_targets(seen["views"], seen["pictures"])
+        result = intersect_targets(seen["views"], seen["pictures"])
         for name, a in true.items():
             motion = result.motions[name]
             total += 1
-            settled += result.settled_by[name] == "continuity"
+            settled += result.resolved_by[name] == "continuity"
             if Flag.AMBIGUOUS in motion.flags:
                 flagged += 1
             else:
@@ -299,31 +315,31 @@ def test_a_column_that_is_open_as_a_whole_is_not_settled_by_another(look) -> Non
     rng = np.random.default_rng(41)
     wrong = 0
     for _ in range(8):
-        views = {"l": look((-450, -900, 360), at=(0, 0, 360)), "r": look((480, -900, 360), at=(0, 0, 360))}
-        true, pictures = {}, {}
+        cameras = {"l": look((-450, -900, 360), at=(0, 0, 360)), "r": look((480, -900, 360), at=(0, 0, 360))}
+        true, images = {}, {}
         for level in range(7):
             for x in (-75.0, 75.0):
                 name, mean = f"{level}{x:+.0f}", np.array([x, 0.0, 120 + 80.0 * level])
                 true[name] = np.array([2.0, 0.0, 0.0]) if x < 0 else np.array([0.0, 2.0 + 0.3 * level, 0.0])
                 true[name] = true[name] + rng.normal(0, 0.02, 3)
-                pictures[name] = {c: picture(v, mean, true[name], 0 * mean, rng, sd=0.007) for c, v in views.items()}
-        result = join_targets(views, pictures)
+                images[name] = {c: image(v, mean, true[name], 0 * mean, rng, sd=0.007) for c, v in cameras.items()}
+        result = intersect_targets(cameras, images)
         for name, a in true.items():
             motion = result.motions[name]
             wrong += not motion.flags and np.linalg.norm(difference(motion.a_mm, a)) > 0.15
     assert wrong == 0
 
 
-def blur_measurement(view, mean, a, b, rng, sd_moment: float = 0.02, sd_px: float = 0.012) -> ImageMotion:
+def blur_measurement(camera, mean, a, b, rng, sd_moment: float = 0.02, sd_px: float = 0.012) -> ImageMotion:
     """What a fit by second moments reports: no minor axis where its square is within three deviations of nothing."""
-    numbers = project_motion(view.project_with_jacobians, np.stack([mean, a, b]))[0]
+    numbers = project_motion(camera.project_with_jacobians, np.stack([mean, a, b]))[0]
     major, minor, _ = principal_axes(numbers[2:4], numbers[4:], np.zeros((4, 4)))
     along = major / np.linalg.norm(major)
     across = np.array([-along[1], along[0]])
     covariance = np.eye(6) * sd_px**2
-    square = float(minor @ minor) + rng.normal(0, sd_moment)
-    seen = square > 3 * sd_moment
-    length = np.sqrt(square) if seen else 0.0
+    cost = float(minor @ minor) + rng.normal(0, sd_moment)
+    seen = cost > 3 * sd_moment
+    length = np.sqrt(cost) if seen else 0.0
     sd_minor = sd_moment / (2 * length) if seen else np.sqrt(sd_moment)
     covariance[4:, 4:] = sd_minor**2 * np.outer(across, across)
     a_px = major + rng.normal(0, sd_px, 2)
@@ -334,7 +350,7 @@ def blur_measurement(view, mean, a, b, rng, sd_moment: float = 0.02, sd_px: floa
 def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> None:
     """Short orbits whose minor axis no picture shows for sure: nothing wrong without a flag, b within its deviation."""
     rng = np.random.default_rng(seed)
-    views = [look(place, lens=Lens((1936, 1296), (1968.8, 1968.8), (970.0, 650.0))) for place in THREE]
+    cameras = [look(place, lens=Lens((1936, 1296), (1968.8, 1968.8), (970.0, 650.0))) for place in THREE]
     off, minor_pulls = [], []
     for _ in range(40):
         mean = rng.uniform([-150, -80, 150], [150, 80, 600])
@@ -342,7 +358,7 @@ def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> 
         a *= np.exp(rng.uniform(np.log(0.3), np.log(2.0))) / np.linalg.norm(a)
         b = np.cross(a, rng.normal(0, 1, 3))
         b *= 0.4 * np.linalg.norm(a) / np.linalg.norm(b)
-        joined = join(views, [blur_measurement(v, mean, a, b, rng) for v in views])
+        joined = intersect_motion(cameras, [blur_measurement(v, mean, a, b, rng) for v in cameras])
         if joined.motion.flags:
             continue
         size, error = np.linalg.norm(a), np.linalg.norm(difference(joined.motion.a_mm, a))
@@ -357,9 +373,9 @@ def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> 
 def test_a_minor_axis_of_zero_says_how_large_it_may_be(look) -> None:
     """Straight to the pictures: b is 0, and its deviation is what they leave open, not what their covariance lacks."""
     rng = np.random.default_rng(2)
-    views = cameras(look, THREE)
+    cameras = make_cameras(look, THREE)
     mean, a = np.array([20.0, 10.0, 370.0]), np.array([3.0, 0.5, 0.3])
-    joined = join(views, [blur_measurement(v, mean, a, 0 * a, rng) for v in views])
+    joined = intersect_motion(cameras, [blur_measurement(v, mean, a, 0 * a, rng) for v in cameras])
     spread = joined.motion.covariance_mm2[6:, 6:]
     along = a / np.linalg.norm(a)
     assert np.all(joined.motion.b_mm == 0)

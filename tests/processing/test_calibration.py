@@ -11,7 +11,7 @@ import pytest
 from labdaemon.errors import DataError, UsageError
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.network import Pose
-from labdaemon.geometry.view import rotation_from_vector
+from labdaemon.geometry.oriented_camera import rotation_from_vector
 from labdaemon.imaging.codes import dictionary
 from labdaemon.imaging.rings import code_book
 from labdaemon.processing.boards import BoardPicture, Charuco

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.view import View
+from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.processing.correspond import SeenDots, Track, correspond, meet
 from labdaemon.processing.naming import names_in_picture, names_in_space, names_like, near_places
 
@@ -14,14 +14,14 @@ LENS = Lens((3872, 2592), (3937.0, 3937.0), (1935.0, 1295.0), (-0.09, 0.07, 0.00
 FAR_LEFT, FAR_RIGHT, ABOVE = (-500.0, -1000.0, 350.0), (500.0, -1000.0, 350.0), (0.0, -1000.0, 750.0)
 
 
-def look(position: tuple[float, float, float]) -> View:
+def look(position: tuple[float, float, float]) -> OrientedCamera:
     place = np.array(position)
     forward = np.array([0.0, 0.0, 350.0]) - place
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.array([right, np.cross(forward, right), forward])
-    return View(LENS, rotation, place, np.diag([1e-10] * 3 + [1e-4] * 3))
+    return OrientedCamera(LENS, rotation, place, np.diag([1e-10] * 3 + [1e-4] * 3))
 
 
 def structure(seed: int, columns: int = 6, rows: int = 5, step: float = 60.0) -> tuple[np.ndarray, np.ndarray]:
@@ -31,10 +31,10 @@ def structure(seed: int, columns: int = 6, rows: int = 5, step: float = 60.0) ->
     return places, rng.choice([5.0, 8.0, 12.0], len(places))
 
 
-def see(view: View, places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, lost: int, clutter: int):
+def see(view: OrientedCamera, places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, lost: int, clutter: int):
     """Dots of one camera in random order, some lost, some that are not targets, and which target each is."""
     pixels = view.project(places) + rng.normal(0, 0.03, (len(places), 2))
-    radius = sizes / 2 * 3937 / view.in_camera(places)[:, 2] * rng.normal(1.01, 0.003, len(places))
+    radius = sizes / 2 * 3937 / view.to_camera_axes(places)[:, 2] * rng.normal(1.01, 0.003, len(places))
     kept = rng.permutation(len(places))[lost:]
     pixels = np.concatenate([pixels[kept], rng.uniform(200, 2300, (clutter, 2))])
     radius = np.concatenate([radius[kept], rng.uniform(6, 30, clutter)])
@@ -80,7 +80,7 @@ def test_two_dots_that_could_be_either_are_marked() -> None:
     places = np.array([[-2.0, 0.0, 350.0], [2.0, 0.0, 350.0]])
     seen = []
     for view in views:
-        radius = 8.0 / 2 * 3937 / view.in_camera(places)[:, 2]
+        radius = 8.0 / 2 * 3937 / view.to_camera_axes(places)[:, 2]
         seen.append(SeenDots(view, view.project(places), radius))
     tracks = correspond(seen, [8.0])
     assert len(tracks) == 2
