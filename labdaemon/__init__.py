@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from labdaemon.analysis import measure as measure
     from labdaemon.analysis import process as process
     from labdaemon.analysis import read_frame as read_frame
+    from labdaemon.blur import ExposureWindow as ExposureWindow
     from labdaemon.blur import Measurement as Measurement
-    from labdaemon.blur import Window as Window
     from labdaemon.envelope import Envelope as Envelope
     from labdaemon.envelope import TargetEnvelope as TargetEnvelope
     from labdaemon.errors import LabdaemonError as LabdaemonError
@@ -44,7 +44,7 @@ _HOME = {
     "ProcessedFolder": "labdaemon.analysis",
     "RawFrame": "labdaemon.imaging.frame",
     "TargetEnvelope": "labdaemon.envelope",
-    "Window": "labdaemon.blur",
+    "ExposureWindow": "labdaemon.blur",
     "frame_from_array": "labdaemon.analysis",
     "measure": "labdaemon.analysis",
     "process": "labdaemon.analysis",
@@ -55,6 +55,7 @@ _HOME = {
 __all__ = [
     "Client",
     "Envelope",
+    "ExposureWindow",
     "Flag",
     "LabdaemonError",
     "Measurement",
@@ -62,7 +63,6 @@ __all__ = [
     "ProcessedFolder",
     "RawFrame",
     "TargetEnvelope",
-    "Window",
     "__version__",
     "errors",
     "flags",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from labdaemon.analysis.arrays import FrameLike, as_frames
 from labdaemon.analysis.motion_table import MotionTable
-from labdaemon.blur import Window
+from labdaemon.blur import ExposureWindow
 from labdaemon.errors import UsageError
 from labdaemon.processing.frame import measure_raw
 from labdaemon.processing.prepare import name_dots, prepare_frames, prepare_patch_frames
@@ -18,7 +18,7 @@ def measure(
     sharp: FrameLike | Sequence[FrameLike],
     blurred: FrameLike | Sequence[FrameLike],
     *,
-    window: Window | Sequence[Window] | None = None,
+    window: ExposureWindow | Sequence[ExposureWindow] | None = None,
     patches: Sequence[Box] = (),
     method: str = "fit",
 ) -> MotionTable:
@@ -77,14 +77,14 @@ def measure(
     return MotionTable(moving[-1].path.stem, result.measurements)
 
 
-def _windows(window: Window | Sequence[Window] | None, count: int) -> list[Window | None]:
+def _windows(window: ExposureWindow | Sequence[ExposureWindow] | None, count: int) -> list[ExposureWindow | None]:
     if window is None:
         if count > 1:
             raise UsageError(
                 f"{count} blurred images are a group; give one window for each, or measure them one by one"
             )
         return [None]
-    windows = [window] if isinstance(window, Window) else list(window)
+    windows = [window] if isinstance(window, ExposureWindow) else list(window)
     if len(windows) != count:
         raise UsageError(f"{count} blurred images need {count} windows, not {len(windows)}")
     return list(windows)

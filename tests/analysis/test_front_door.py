@@ -108,7 +108,7 @@ def test_images_of_two_sizes_and_groups_without_windows_are_refused(arrays: tupl
     with pytest.raises(UsageError, match="one window for each"):
         ld.measure(arrays[0], [arrays[1], arrays[1]])
     with pytest.raises(UsageError, match="need 1 windows, not 2"):
-        ld.measure(arrays[0], arrays[1], window=[ld.Window(5.0, 1.0), ld.Window(5.0, 1.0)])
+        ld.measure(arrays[0], arrays[1], window=[ld.ExposureWindow(5.0, 1.0), ld.ExposureWindow(5.0, 1.0)])
     with pytest.raises(UsageError, match="bayer is one of"):
         ld.frame_from_array(arrays[0], bayer="XTRANS")
     with pytest.raises(DataError, match="no dots"):
