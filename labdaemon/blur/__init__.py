@@ -2,7 +2,7 @@
 
 Arrays in, arrays out; `measure`, `measure_frame` and `measure_group` are the ways in. The rooms behind them, lowest
 first: ``patch`` (what the sensor saw), ``solver``, ``spectra`` (dot, lens, pixel, motion in closed form), ``sharp``
-(the target at rest), ``smear`` (the modelled picture), ``fit`` (whole cycles, declared laws) and ``phase`` (windows of
+(the target at rest), ``smear`` (the modelled image), ``fit`` (whole cycles, declared laws) and ``phase`` (windows of
 part cycles). ``published`` holds the published method, to compare with.
 """
 

@@ -74,7 +74,7 @@ def axes_from_moment(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray
 def axes_from_vectors(at: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Centre, major axis, minor axis and covariance from (x, y, ax, ay, bx, by) with phase.
 
-    The minor axis of a straight motion has no derivative; its deviation is taken from the vectors themselves.
+    The minor axis of a straight motion has no derivative; its standard deviation is taken from the vectors themselves.
     """
 
     def axes(p: FloatArray) -> FloatArray:

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.blur.measure import WHOLE_CYCLE_TOLERANCE, measure
+from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.phase.harmonic_fit import HarmonicFit, fit_harmonic
 from labdaemon.blur.phase.known_window import drop_phase
+from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
@@ -49,7 +50,7 @@ def measure_group(
     Measurement
         `phased` is True; the centre is the mean over frames. Whole cycles hold no phase: then it is False, and a and b
         are the orbit's axes. With a single frame, or several that see the same part of
-        the cycle, mirrored solutions fit alike: then `Flag.AMBIGUOUS` is set.
+        the cycle, time-reversed solutions fit equally well: then `Flag.AMBIGUOUS` is set.
 
     Raises
     ------
@@ -63,7 +64,7 @@ def measure_group(
         raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
     if not sharp.usable:
         return empty_measurement(sharp.name, {Flag.NOT_FOUND})
-    if all(abs(window.cycles - round(window.cycles)) < WHOLE_CYCLE_TOLERANCE for window in windows):
+    if all(abs(window.cycles - round(window.cycles)) < MEASURE.whole_cycle_tolerance for window in windows):
         return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses)
     blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
     problems: list[FitProblem] = []

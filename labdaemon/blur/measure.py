@@ -11,16 +11,12 @@ from labdaemon.blur.fit.whole_cycles import measure_whole_cycles
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.phase.known_window import measure_known_window
+from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
 from labdaemon.blur.waveform import MotionWaveform
 from labdaemon.flags import Flag
-
-OCCLUSION_CHI2 = 2.5  # residuals from which something in front is looked for; a motion's own harmonics make less
-WHOLE_CYCLE_TOLERANCE = 0.01  # cycles from whole below which the window's phase does not show
-MIN_CONTRAST_RATIO = 0.2  # of a texture, in parts of the sharp picture's, below which it is not there
-PART_CYCLE_LIMIT = 0.05  # cycles from whole above which a model of whole cycles is biased
 
 
 def measure(
@@ -45,8 +41,8 @@ def measure(
     window
         When the shutter was open; without it, or without its phase, whole cycles are assumed.
     defocus
-        What the frame's control targets say of defocus. None lets a dot's vary by 0.3 px² and takes a texture, whose
-        own details cannot be told from defocus, for as sharp as before.
+        What the frame's control targets say of defocus. None lets a dot's vary by 0.3 px²; a textured patch, whose
+        own details do not differ from defocus, counts as sharp as before.
     initial_guess
         Where the target is expected; None takes its place in the sharp frame.
     orbit
@@ -78,9 +74,9 @@ def measure(
     def fit(problem: FitProblem) -> Measurement:
         if waveform is not None:
             return measure_waveform(sharp, problem, blur, waveform)
-        if window is not None and window.phase_rad is not None and fraction > WHOLE_CYCLE_TOLERANCE:
+        if window is not None and window.phase_rad is not None and fraction > MEASURE.whole_cycle_tolerance:
             return measure_known_window(sharp, problem, blur, window, orbit=orbit)
-        flags = {Flag.PART_CYCLES} if fraction > PART_CYCLE_LIMIT else set()
+        flags = {Flag.PART_CYCLES} if fraction > MEASURE.part_cycle_limit else set()
         return measure_whole_cycles(sharp, patch, problem, blur, orbit=orbit, flags=flags)
 
     found = (
@@ -88,7 +84,7 @@ def measure(
     )
     if problem is not None and problem.blob is None and _is_lost(sharp, problem, expected, found):
         return empty_measurement(sharp.name, {Flag.NOT_FOUND})
-    if problem is not None and not (found.chi2 > OCCLUSION_CHI2 and Flag.POOR_FIT in found.flags):
+    if problem is not None and not (found.chi2 > MEASURE.occlusion_chi2 and Flag.POOR_FIT in found.flags):
         return found
     if Flag.POOR_FIT in sharp.flags:
         return found
@@ -104,4 +100,4 @@ def _is_lost(sharp: SharpTarget, problem: FitProblem, expected: FloatArray, foun
     """Whether a texture's fit left the box that it was to be seen in, or is of nothing: it is not there."""
     moved = np.concatenate((found.centre_px - expected, found.a_px))
     within = bool(np.all(np.abs(moved) <= np.tile(sharp.form.half_size_px, 2)))
-    return not within or contrast_ratio(sharp, problem, found) < MIN_CONTRAST_RATIO
+    return not within or contrast_ratio(sharp, problem, found) < MEASURE.min_contrast_ratio

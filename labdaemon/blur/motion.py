@@ -111,8 +111,8 @@ class Defocus:
     mean_px2, sd_px2
         Variance and its standard deviation, px². The mean may be negative (the sharp frame was the less sharp one).
     anisotropy_px2
-        How far it may be from the same in all directions. Without control targets nobody knows, and motion of which the
-        square is not well above this cannot be told from rest.
+        Bound of its anisotropy. Without control targets nothing measures it, and a motion whose square is not well
+        above this bound counts as rest.
     """
 
     mean_px2: float = 0.0

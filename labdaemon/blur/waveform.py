@@ -1,6 +1,6 @@
 """Displacement over the exposure as nodes in time, for whatever is not a sinusoid over whole cycles.
 
-A blur is the mean over time of the displaced picture, so any motion is a sum over instants t_k with weights w_k:
+A blur is the mean over time of the displaced image, so any motion is a sum over instants t_k with weights w_k:
 H(f) = Σ w_k exp(−2πi f·d(t_k)), d(t_k) = Σ_j v_j B_j(t_k), with the vectors v_j to be fitted and known functions B_j.
 The exponential factors into x and y, so the sum is a product of two small matrices.
 """
@@ -148,7 +148,7 @@ def quadrature_transfer(
 def in_phase_transfer(
     fx: FloatArray, fy: FloatArray, motion: FloatArray, basis: FloatArray, weight: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Transfer function of a standing motion v·sin(ωt + ψ) at nodes, and its derivatives by vx, vy and ψ.
+    """Transfer function of an in-phase motion v·sin(ωt + ψ) at nodes, and its derivatives by vx, vy and ψ.
 
     Parameters
     ----------

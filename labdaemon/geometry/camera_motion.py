@@ -13,13 +13,7 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.data_snooping import RobustPointAdjustment, exclusion_reason
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-POSITION_PRIOR_MM = 1.0
-"""How far a camera on a tripod may creep: few control targets cannot tell a small shift from a small turn."""
-MIN_SHIFT_PX = 1.0
-"""Shift of the control targets from which a frame counts as moved. Less is corrected and harms nothing."""
-MAX_SIGMA0 = 10.0
-"""Residuals this many times their standard deviation: the frame is not from this camera."""
+from labdaemon.geometry.settings import ORIENTATION, SNOOPING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +32,7 @@ class CameraMotion:
     rms_px
         Root mean square length of their shifts, as the camera's motion explains them.
     moved
-        True when `rms_px` is significant and above `MIN_SHIFT_PX`.
+        True when `rms_px` is significant and above `ORIENTATION.min_shift_px`.
     excluded
         Control targets whose shift does not fit the others', with the reason.
     sigma0
@@ -102,7 +96,7 @@ def estimate_camera_motion(
         computed, _, by_exterior = camera.apply_change(change).project_with_jacobians(object_mm)
         return shifts - (computed - still), noise, by_exterior
 
-    prior = np.array([0.0, 0.0, 0.0, *[POSITION_PRIOR_MM**-2.0] * 3])
+    prior = np.array([0.0, 0.0, 0.0, *[ORIENTATION.position_prior_mm**-2.0] * 3])
     problem = RobustPointAdjustment(linearise, np.add, prior)
     # A shift common to all is nearly a pure rotation: start there, so that snooping sees what is left.
     start = problem.adjust(np.zeros(6), np.ones(count), robust=True)
@@ -110,14 +104,16 @@ def estimate_camera_motion(
     residuals, squares = linearise(change)[0], problem.squares(change)
     freedom = max(2 * int(used.sum()) - 3, 1)
     sigma0 = float(np.sqrt(squares[used].sum() / freedom))
-    if not used.sum() > count / 2 or (sigma0 > MAX_SIGMA0 and np.abs(residuals[used]).max() > 5.0):
+    if not used.sum() > count / 2 or (
+        sigma0 > ORIENTATION.max_sigma0 and np.abs(residuals[used]).max() > ORIENTATION.max_residual_px
+    ):
         listing = ", ".join(f"{name} {np.hypot(*v):.1f} px" for name, v in zip(names, shifts, strict=True))
         raise DataError(
             f"the control targets shifted from the sharp frame as no motion of the camera explains ({listing}): "
             "is the frame from this camera?"
         )
     covariance = problem.covariance(change, used)
-    if squares[used].sum() > chi2.isf(0.01, freedom):
+    if squares[used].sum() > chi2.isf(SNOOPING.inflation_probability, freedom):
         covariance = covariance * sigma0**2
     explained = (shifts - residuals)[used]
     rms = float(np.sqrt(np.mean(np.sum(explained**2, axis=1))))
@@ -136,4 +132,4 @@ def estimate_camera_motion(
 
 def _is_significant(rms_px: float, sd_px: NDArray[np.float64]) -> bool:
     """Tell a shift that matters from noise."""
-    return bool(rms_px > max(MIN_SHIFT_PX, 5.0 * float(np.sqrt(np.mean(sd_px**2)))))
+    return bool(rms_px > max(ORIENTATION.min_shift_px, 5.0 * float(np.sqrt(np.mean(sd_px**2)))))

@@ -21,14 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdaemon.geometry.motion import FloatArray, ObjectMotion
-
-MIN_ODDS = 100.0
-"""How much likelier the chosen solution must be."""
-MIN_NEIGHBOURS = 5
-"""Settled targets needed to describe a population of motions."""
-CONTINUITY_RATIO = 3.0
-"""How many times further from the neighbours' vector the other solution must lie."""
-_MIN_SPREAD = 0.1  # of the rms vector: no population is known more closely than this in any direction
+from labdaemon.geometry.settings import NEIGHBOURS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,26 +72,26 @@ def _continuing_solution(
     spread = float(np.linalg.norm(vectors - expected, axis=1).max())
     misses = [float(min(np.linalg.norm(o.a_mm - expected), np.linalg.norm(o.a_mm + expected))) for o in options]
     best = int(np.argmin(misses))
-    return best if misses[1 - best] > CONTINUITY_RATIO * max(misses[best], spread) else None
+    return best if misses[1 - best] > NEIGHBOURS.continuity_ratio * max(misses[best], spread) else None
 
 
 def _similar_solution(
     options: tuple[ObjectMotion, ObjectMotion], evidence: float, near: Sequence[ResolvedNeighbour], here: FloatArray
 ) -> int | None:
     """Solution that moves as the others do while the other one does not."""
-    if len(near) < MIN_NEIGHBOURS:
+    if len(near) < NEIGHBOURS.min_neighbours:
         return None
     vectors = np.stack([neighbour.vector_mm for neighbour in near])
     distances = np.array([float(np.linalg.norm(neighbour.place_mm - here)) for neighbour in near])
     weights = 1.0 / (1.0 + (distances / max(float(np.median(distances)), 1e-6)) ** 2)
     count = float(weights.sum() ** 2 / np.sum(weights**2))
     moment = np.einsum("n,ni,nj->ij", weights, vectors, vectors) / weights.sum()
-    moment += _MIN_SPREAD**2 * float(np.trace(moment)) * np.eye(3)
+    moment += NEIGHBOURS.min_spread**2 * float(np.trace(moment)) * np.eye(3)
     inverse = np.linalg.inv(moment)
     distances2 = [float(option.a_mm @ inverse @ option.a_mm) for option in options]
     odds = evidence + 0.5 * (count + 3.0) * float(np.log1p(distances2[1] / count) - np.log1p(distances2[0] / count))
-    if abs(odds) < np.log(MIN_ODDS):
+    if abs(odds) < np.log(NEIGHBOURS.min_odds):
         return None
     best = 0 if odds > 0 else 1
     # Something that nobody does either is not believed for being less strange than its rival.
-    return best if distances2[best] < 9.0 else None
+    return best if distances2[best] < NEIGHBOURS.max_distance2 else None

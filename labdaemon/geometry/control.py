@@ -10,9 +10,7 @@ import numpy as np
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-MIN_EXTENT_MM = 20.0
-"""Control spread over less than this cannot be a rig in millimetres: targets alone are that large."""
+from labdaemon.geometry.settings import ORIENTATION
 
 _UNITS = {0.001: "metres", 0.01: "centimetres", 0.1: "decimetres", 1 / 25.4: "inches", 1000.0: "micrometres"}
 
@@ -55,7 +53,7 @@ def check_control(names: Sequence[str], image_px: FloatArray, object_mm: FloatAr
         raise DataError("a control target has no number for a pixel or a coordinate")
     _, spread, _ = np.linalg.svd(object_mm - object_mm.mean(axis=0))
     extent = float(np.ptp(object_mm, axis=0).max())
-    if extent < MIN_EXTENT_MM:
+    if extent < ORIENTATION.min_extent_mm:
         raise DataError(
             f"the control targets in view span only {extent:.3g} mm: the survey looks as if given in metres; "
             "write it in millimetres"

@@ -16,10 +16,7 @@ from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
-
-SIGNIFICANCE = 0.001
-"""Chance that a set without gross errors loses a point (shared between its points)."""
-_CAUCHY_SCALE2 = 6.0  # squared normalised residual (two coordinates) beyond which a point's pull fades
+from labdaemon.geometry.settings import SNOOPING
 
 State = TypeVar("State")
 
@@ -46,7 +43,7 @@ class RobustPointAdjustment(Generic[State]):
 
     def cost(self, state: State) -> float:
         """Robust sum of squares over all points."""
-        return float(np.log1p(np.minimum(self.squares(state), 1e12) / _CAUCHY_SCALE2).sum())
+        return float(np.log1p(np.minimum(self.squares(state), 1e12) / SNOOPING.cauchy_scale2).sum())
 
     def squares(self, state: State) -> FloatArray:
         """(n,) squared residuals over their variance."""
@@ -88,9 +85,12 @@ class RobustPointAdjustment(Generic[State]):
             return None
         lost = 1e6 * float((weights > 0).sum() - usable.sum())  # a point behind the camera is no improvement
         squares = squares[usable]
-        weight = weights[usable] * (1.0 / (1.0 + squares / _CAUCHY_SCALE2) if robust else 1.0)
+        weight = weights[usable] * (1.0 / (1.0 + squares / SNOOPING.cauchy_scale2) if robust else 1.0)
         value = lost + float(
-            np.sum(weights[usable] * (_CAUCHY_SCALE2 * np.log1p(squares / _CAUCHY_SCALE2) if robust else squares))
+            np.sum(
+                weights[usable]
+                * (SNOOPING.cauchy_scale2 * np.log1p(squares / SNOOPING.cauchy_scale2) if robust else squares)
+            )
         )
         whitened = np.linalg.solve(covariances[usable], jacobian[usable])
         normal = np.einsum("n,nij,nik->jk", weight, jacobian[usable], whitened)
@@ -138,9 +138,9 @@ class RobustPointAdjustment(Generic[State]):
         """
         squares = self.squares(state)
         count = len(squares)
-        limit = float(chi2.isf(SIGNIFICANCE / count, 2))
+        limit = float(chi2.isf(SNOOPING.significance / count, 2))
         # Pixels worse than stated must not cost points one after the other: judge against the typical residual.
-        scale = float(np.clip(np.median(squares) / chi2.median(2), 1.0, 25.0))
+        scale = float(np.clip(np.median(squares) / chi2.median(2), 1.0, SNOOPING.max_scale))
         used: NDArray[np.bool_] = squares <= 10.0 * limit * scale
         if used.sum() < min_points:
             used = squares <= np.sort(squares)[min_points - 1]

@@ -10,11 +10,7 @@ import numpy as np
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.oriented_camera import OrientedCamera, rotation_from_vector
-
-MAX_TRIPLES = 120
-MAX_CAMERAS = 6
-INITIAL_SLOPE_ERROR = 0.002
-"""What a survey and a pixel may be off, as a ray's slope, for a start that deserves adjusting."""
+from labdaemon.geometry.settings import ORIENTATION
 
 
 def initial_cameras(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> list[OrientedCamera]:
@@ -62,21 +58,21 @@ def initial_cameras(lens: Lens, image_px: FloatArray, object_mm: FloatArray) -> 
     depth = np.where(seen_points[..., 2] > 0, seen_points[..., 2], np.nan)
     misses = np.sum((seen_points[..., :2] / depth[..., None] - slopes) ** 2, axis=-1)
     # A gross error must cost no more than a large residual does, a point behind the camera as much.
-    score = np.log1p(np.nan_to_num(misses, nan=1e6) / INITIAL_SLOPE_ERROR**2).sum(axis=1)
+    score = np.log1p(np.nan_to_num(misses, nan=1e6) / ORIENTATION.initial_slope_error**2).sum(axis=1)
     ahead = np.median(seen_points[..., 2], axis=1) > 0
-    best = [i for i in np.argsort(score).tolist() if ahead[i]][:MAX_CAMERAS]
+    best = [i for i in np.argsort(score).tolist() if ahead[i]][: ORIENTATION.max_initial_cameras]
     return [OrientedCamera(lens, rotations[i], origin - rotations[i].T @ good[i][1]) for i in best]
 
 
 def _sample_triples(count: int) -> list[tuple[int, ...]]:
     """Some triples of n points: all of a few, an even sample of many."""
     total = count * (count - 1) * (count - 2) // 6
-    if total <= MAX_TRIPLES:
+    if total <= ORIENTATION.max_triples:
         return list(combinations(range(count), 3))
     if total <= 200_000:
-        return list(islice(combinations(range(count), 3), 0, None, total // MAX_TRIPLES))
+        return list(islice(combinations(range(count), 3), 0, None, total // ORIENTATION.max_triples))
     generator = np.random.default_rng(count)
-    return [tuple(int(i) for i in generator.choice(count, 3, replace=False)) for _ in range(MAX_TRIPLES)]
+    return [tuple(int(i) for i in generator.choice(count, 3, replace=False)) for _ in range(ORIENTATION.max_triples)]
 
 
 def _triangle_area(slopes: FloatArray) -> float:

@@ -23,6 +23,7 @@ from labdaemon.geometry.network import Network, Pose
 from labdaemon.geometry.orient import Orientation, orient
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors
+from labdaemon.geometry.settings import SNOOPING
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,9 @@ def orient_jointly(
     for error in gross:
         excluded[error.point] = _describe_error(error, camera_names)
     square = adjustment.sigma0**2 * adjustment.degrees_of_freedom
-    worse = adjustment.degrees_of_freedom > 0 and square > chi2.isf(0.01, adjustment.degrees_of_freedom)
+    worse = adjustment.degrees_of_freedom > 0 and square > chi2.isf(
+        SNOOPING.inflation_probability, adjustment.degrees_of_freedom
+    )
     covariance = adjustment.exterior_covariance(scaled=bool(worse))
     cameras = {
         camera: OrientedCamera(

@@ -17,10 +17,7 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-MIN_RAY_ANGLE_RAD = 0.02
-"""Rays that meet at less than this give no depth."""
-_FLOOR_PX2 = 1e-8  # keeps a covariance of zero invertible
+from labdaemon.geometry.settings import INTERSECTION
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +68,7 @@ def nearest_point(cameras: Sequence[OrientedCamera], mean_px: Sequence[FloatArra
         raise DataError("a target lies where a lens model folds over")
     centres = np.stack([camera.position_mm for camera in cameras])
     cosines = np.abs(directions @ directions.T)
-    if np.arccos(np.clip(cosines.min(), 0.0, 1.0)) < MIN_RAY_ANGLE_RAD:
+    if np.arccos(np.clip(cosines.min(), 0.0, 1.0)) < INTERSECTION.min_ray_angle_rad:
         raise DataError("its rays are nearly parallel: move the cameras apart")
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     return np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
@@ -121,7 +118,7 @@ def adjust_motion(
     image_noise = np.zeros((len(target), len(target)))
     for index, block in enumerate(noise):
         place = slice(index * rows, (index + 1) * rows)
-        image_noise[place, place] = block + _FLOOR_PX2 * np.eye(rows)
+        image_noise[place, place] = block + INTERSECTION.floor_px2 * np.eye(rows)
     for _ in range(12):
         computed, by_motion, by_exterior = _linearise(cameras, motion, model)
         weight = np.linalg.inv(image_noise + by_exterior @ exterior @ by_exterior.T)

@@ -13,10 +13,7 @@ from labdaemon.geometry.motion import FloatArray, ImageMotion
 from labdaemon.geometry.motion_adjustment import Candidate, adjust_motion, nearest_point
 from labdaemon.geometry.orbit import principal_axes, second_moment, second_moment_covariance, second_moment_jacobian
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-MAX_EVIDENCE = 40.0
-"""What one camera's evidence for a sign counts for at most: rays that miss each other by far say more."""
-_MIN_AXIS_SD_PX = 0.01  # no blur tells a minor axis from zero more closely than this
+from labdaemon.geometry.settings import INTERSECTION
 
 
 def straight_candidates(
@@ -61,7 +58,7 @@ def straight_candidates(
 
 def sign_penalty_of(evidence: FloatArray, signs: Sequence[float]) -> float:
     """What the cameras' evidence has against one way of matching the ends, whichever of the two ends it was."""
-    believed = np.clip(evidence, -MAX_EVIDENCE, MAX_EVIDENCE) * np.asarray(signs)
+    believed = np.clip(evidence, -INTERSECTION.max_evidence, INTERSECTION.max_evidence) * np.asarray(signs)
     return float(min(np.sum(np.maximum(believed, 0.0)), np.sum(np.maximum(-believed, 0.0))))
 
 
@@ -114,7 +111,7 @@ def orbit_candidates(
     """
     mean = nearest_point(cameras, [motion.mean_px for motion in motions])
     moments = [second_moment(m.a_px, m.b_px) for m in motions]
-    floor = np.diag([0.0, 0.0, _MIN_AXIS_SD_PX**2, _MIN_AXIS_SD_PX**2])
+    floor = np.diag([0.0, 0.0, INTERSECTION.min_axis_sd_px**2, INTERSECTION.min_axis_sd_px**2])
     noise = []
     for motion, moment in zip(motions, moments, strict=True):
         block = np.zeros((5, 5))
@@ -176,7 +173,7 @@ def _minor_covariance(
         if length == 0.0 or not np.isfinite(block).all():
             continue
         across = np.array([-a[1], a[0]]) / length
-        variance = float(across @ block @ across) + _MIN_AXIS_SD_PX**2
+        variance = float(across @ block @ across) + INTERSECTION.min_axis_sd_px**2
         seen = across @ camera.project_with_jacobians(motion_mm[:1])[1][0]
         normal += np.outer(seen, seen) / variance
     return np.asarray(np.linalg.inv(normal), dtype=float)

@@ -22,9 +22,7 @@ from labdaemon.geometry.initial_pose import initial_cameras
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-MAX_SIGMA0 = 10.0
-"""Residuals this many times their standard deviation belong to another camera, lens or survey."""
+from labdaemon.geometry.settings import ORIENTATION, SNOOPING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +122,7 @@ def orient(
     freedom = 2 * int(used.sum()) - 6
     sigma0 = float(np.sqrt(squares[used].sum() / freedom)) if freedom else float("nan")
     listing = ", ".join(f"{name} {np.hypot(*v):.1f} px" for name, v in zip(names, residuals, strict=True))
-    if not used.sum() > count / 2 or sigma0 > MAX_SIGMA0:
+    if not used.sum() > count / 2 or sigma0 > ORIENTATION.max_sigma0:
         raise DataError(
             f"control targets do not fit together (residuals {listing}): check that the frame is from this camera, "
             "that the lens is this camera's, and the survey"
@@ -132,7 +130,7 @@ def orient(
     if side_px is not None and side_mm is not None:
         check_scale(camera, object_mm[used], np.asarray(side_px)[used], side_mm)
     covariance = problem.covariance(camera, used)
-    if freedom and squares[used].sum() > chi2.isf(0.01, freedom):
+    if freedom and squares[used].sum() > chi2.isf(SNOOPING.inflation_probability, freedom):
         covariance = covariance * sigma0**2  # worse than stated: believe the residuals
     excluded = {names[i]: exclusion_reason(residuals[i], squares[i]) for i in np.flatnonzero(~used).tolist()}
     oriented = OrientedCamera(lens, camera.rotation, camera.position_mm, covariance)

@@ -16,9 +16,7 @@ from scipy.special import ive
 
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-MAX_CONCENTRATION = 1e6
-"""Concentration from which a phase is as good as known."""
+from labdaemon.geometry.settings import INTERSECTION
 
 
 def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion) -> ObjectMotion:
@@ -97,9 +95,9 @@ def _concentration(resultant: float) -> float:
     """κ of a von Mises distribution with a mean resultant length."""
     if resultant <= 1e-6:
         return 0.0
-    if resultant >= _circular_moments(MAX_CONCENTRATION)[0]:
-        return MAX_CONCENTRATION
-    return float(brentq(lambda kappa: _circular_moments(kappa)[0] - resultant, 0.0, MAX_CONCENTRATION))
+    if resultant >= _circular_moments(INTERSECTION.max_concentration)[0]:
+        return INTERSECTION.max_concentration
+    return float(brentq(lambda kappa: _circular_moments(kappa)[0] - resultant, 0.0, INTERSECTION.max_concentration))
 
 
 def _circular_moments(kappa: float) -> tuple[float, float]:

@@ -24,10 +24,7 @@ from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.orbit import largest_sign, principal_axes
 from labdaemon.geometry.oriented_camera import OrientedCamera
-
-MIN_SURVEY_SD_MM = 0.05
-"""What a survey can hardly beat; judges coplanarity where a smaller one is claimed."""
-COPLANAR_SIGNIFICANCE = 0.001
+from labdaemon.geometry.settings import ORIENTATION, SNOOPING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,14 +178,14 @@ def fit_plane(
     residuals, squares = linearise(plane)[0], problem.squares(plane)
     freedom = 2 * int(used.sum()) - 8
     sigma0 = float(np.sqrt(squares[used].sum() / freedom)) if freedom else float("nan")
-    if not used.sum() > count / 2 or sigma0 > 10.0:
+    if not used.sum() > count / 2 or sigma0 > ORIENTATION.max_sigma0:
         listing = ", ".join(f"{name} {np.hypot(*v):.1f} px" for name, v in zip(names, residuals, strict=True))
         raise DataError(
             f"control targets do not fit together (residuals {listing}): check that the frame is from this camera, "
             "that the lens is this camera's, and the survey"
         )
     covariance = problem.covariance(plane, used)
-    if freedom and squares[used].sum() > chi2.isf(0.01, freedom):
+    if freedom and squares[used].sum() > chi2.isf(SNOOPING.inflation_probability, freedom):
         covariance = covariance * sigma0**2
     return replace(
         plane,
@@ -301,7 +298,7 @@ def _fit_trace(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Foot of the intercept (3,), level unit vector along the trace (3,), and distances from the plane (n,)."""
     plan = object_mm[:, :2]
-    sd = np.maximum(sd_mm, MIN_SURVEY_SD_MM)
+    sd = np.maximum(sd_mm, ORIENTATION.min_survey_sd_mm)
     _, _, main = np.linalg.svd((plan - plan.mean(axis=0)) / sd[:, None])
     steep = abs(main[0, 1]) > abs(main[0, 0])
     given, wanted = (plan[:, 1], plan[:, 0]) if steep else (plan[:, 0], plan[:, 1])
@@ -321,8 +318,8 @@ def _fit_trace(
     spread = sd * np.sqrt(np.maximum(1.0 - pull, 1e-6))
     tests = (distances / spread) ** 2
     freedom = len(distances) - 2
-    worst = tests.max() > chi2.isf(COPLANAR_SIGNIFICANCE / len(tests), 1)
-    if worst or np.sum((distances / sd) ** 2) > chi2.isf(COPLANAR_SIGNIFICANCE, freedom):
+    worst = tests.max() > chi2.isf(ORIENTATION.coplanar_significance / len(tests), 1)
+    if worst or np.sum((distances / sd) ** 2) > chi2.isf(ORIENTATION.coplanar_significance, freedom):
         listing = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, distances, strict=True))
         raise DataError(
             "the control targets do not lie in one vertical plane within their survey's uncertainty "

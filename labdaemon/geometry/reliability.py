@@ -18,10 +18,7 @@ from scipy.stats import chi2
 from labdaemon.geometry.bundle import Adjustment, adjust_network
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.network import Network
-
-SIGNIFICANCE = 0.001
-"""Chance that a network without gross errors loses an observation (shared between all of them)."""
-_MIN_REDUNDANCY = 1e-6
+from labdaemon.geometry.settings import SNOOPING
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +73,13 @@ def compute_observation_tests(adjustment: Adjustment) -> ObservationTests:
     eye = np.eye(2)
     left = variance[:, None, None] * eye - adjustment.fitted_cofactor()
     redundancy = np.clip(np.trace(left, axis1=1, axis2=2) / (2.0 * variance), 0.0, 1.0)
-    checked = redundancy > _MIN_REDUNDANCY
+    checked = redundancy > SNOOPING.min_redundancy
     observations, detectable = np.zeros(len(redundancy)), np.full(len(redundancy), np.inf)
     safe = left[checked] + 1e-9 * variance[checked, None, None] * eye
     residuals = adjustment.residuals_px[checked]
     observations[checked] = np.einsum("ni,ni->n", residuals, np.linalg.solve(safe, residuals[..., None])[..., 0])
     # Non-centrality of a test of one direction at 0.1 % and 80 %: (3.29 + 0.84)².
-    detectable[checked] = 4.13 * np.sqrt(variance[checked] / redundancy[checked])
+    detectable[checked] = SNOOPING.noncentrality * np.sqrt(variance[checked] / redundancy[checked])
     survey, survey_error = _compute_survey_tests(adjustment)
     return ObservationTests(observations, redundancy, survey, survey_error, detectable)
 
@@ -100,7 +97,7 @@ def _compute_survey_tests(adjustment: Adjustment) -> tuple[FloatArray, FloatArra
         axes = np.flatnonzero(known[point])
         variance = np.diag(sd[point, axes] ** 2)
         left = variance - cofactor[point][np.ix_(axes, axes)]
-        if np.trace(left) < _MIN_REDUNDANCY * np.trace(variance):
+        if np.trace(left) < SNOOPING.min_redundancy * np.trace(variance):
             continue
         residual = adjustment.survey_residuals[point, axes]
         solved = np.linalg.pinv(left, rcond=1e-6, hermitian=True) @ residual
@@ -120,7 +117,7 @@ def find_gross_error(adjustment: Adjustment, names: Sequence[str]) -> GrossError
     median_ratio = float(np.median(tests.observations)) / float(chi2.median(2)) if len(tests.observations) else 1.0
     scale = max(1.0, median_ratio)
     count = len(tests.observations) + int((freedom > 0).sum())
-    limit = np.log(SIGNIFICANCE / count)
+    limit = np.log(SNOOPING.significance / count)
     observation_log_p = chi2.logsf(tests.observations / scale, 2)
     survey_log_p = np.where(freedom > 0, chi2.logsf(tests.survey / scale, np.maximum(freedom, 1)), 0.0)
     first = int(np.argmin(observation_log_p)) if len(observation_log_p) else -1
@@ -132,7 +129,9 @@ def find_gross_error(adjustment: Adjustment, names: Sequence[str]) -> GrossError
     if min_survey_log_p <= min_observation_log_p:
         size = float(tests.survey_error[second])
         return GrossError("survey", names[second], -1, float(np.sqrt(tests.survey[second])), size)
-    size = float(np.linalg.norm(adjustment.residuals_px[first]) / max(tests.redundancy[first], 1e-3))
+    size = float(
+        np.linalg.norm(adjustment.residuals_px[first]) / max(tests.redundancy[first], SNOOPING.min_redundancy_for_size)
+    )
     return GrossError(
         "sighting",
         names[network.point[first]],

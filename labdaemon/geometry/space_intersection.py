@@ -17,25 +17,7 @@ from labdaemon.geometry.motion_candidates import orbit_candidates, phased_candid
 from labdaemon.geometry.orbit import largest_sign, principal_axes
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases
-
-MATCH_COST_GAP = 14.0
-"""Difference of squared residuals that settles a match: the runner-up is a thousand times less likely."""
-DISTINCT_PROBABILITY = 0.01
-"""Chance below which two candidates count as different; others agree within their stated uncertainty."""
-STRAIGHT_RATIO2 = 12.0
-"""Squared ratio of a minor axis to its standard deviation below which a path counts as straight."""
-ORBIT_TRIAL_PROBABILITY = 1e-3
-"""Chance of a straight path's residuals in two cameras below which an orbit is tried."""
-ORBIT_COST_GAIN = 4.0
-"""What an orbit's two further parameters must take off the squared residuals of three cameras (Akaike)."""
-SAME_ROOT_MM = 0.02
-"""Two roots of an orbit this close are one for any practical purpose."""
-SIGN_CONFLICT_PROBABILITY = 1e-3
-"""Chance of the residuals of signed vectors below which one camera must have taken the wrong one of two orbits."""
-POOR_FIT_PROBABILITY = 1e-6
-"""Chance of the residuals below which cameras do not see the same point."""
-POOR_FIT_PX = 0.2
-"""Residuals smaller than this harm nothing, however small the stated uncertainty."""
+from labdaemon.geometry.settings import INTERSECTION
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +89,7 @@ def intersect_motion(
     if phased and not phase_unresolved:
         best = phased_candidate(cameras, exterior, motions)
         signed = _object_motion(best, None, phased=True)
-        if chi2.sf(best.cost, best.freedom) < SIGN_CONFLICT_PROBABILITY:
+        if chi2.sf(best.cost, best.freedom) < INTERSECTION.sign_conflict_probability:
             return IntersectedMotion(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
         return IntersectedMotion(signed, resolved_by="phase")
     if phase_unresolved:
@@ -121,14 +103,18 @@ def intersect_motion(
     # Residuals larger than stated mean noise larger than stated: it may have decided the match.
     scale = max(1.0, best.cost / best.freedom) if best.freedom > 0 else 1.0
     ratio = float(np.sqrt(others[0].cost / max(best.cost, 1e-12))) if others else None
-    close = [other for other in others if _cost_difference(best, other, scale) < MATCH_COST_GAP]
+    close = [other for other in others if _cost_difference(best, other, scale) < INTERSECTION.match_cost_gap]
     rival = next((other for other in close if _are_distinct(best, other)), None)
     joined = _object_motion(best, ratio, phased=False)
     # Two cameras fix five of an orbit's six numbers. Where its plane is nearly edge-on to one of them the two roots
     # merge, and linear theory no longer says how far apart they may be: only roots that agree are believed.
     undetermined = not straight and len(cameras) == 2 and not (len(candidates) > 1 and _are_equal(*candidates[:2]))
     if rival is None and not undetermined:
-        by_rays = not others or (others[0].cost - best.cost) / scale >= MATCH_COST_GAP or not others[0].sign_penalty
+        by_rays = (
+            not others
+            or (others[0].cost - best.cost) / scale >= INTERSECTION.match_cost_gap
+            or not others[0].sign_penalty
+        )
         return IntersectedMotion(
             joined, resolved_by=("residual" if len(cameras) == 2 else "third camera") if by_rays else "phase"
         )
@@ -162,14 +148,18 @@ def _unphased_candidates(
     best = straight[0]
     # Two cameras pay for an orbit with an ambiguity: only what a straight path cannot explain is called one.
     suspect = (
-        best.cost > best.freedom if len(cameras) > 2 else chi2.sf(best.cost, best.freedom) < ORBIT_TRIAL_PROBABILITY
+        best.cost > best.freedom
+        if len(cameras) > 2
+        else chi2.sf(best.cost, best.freedom) < INTERSECTION.orbit_trial_probability
     )
     if suspect:
         try:
             orbits = orbit_candidates(cameras, exterior, motions)
         except DataError:
             orbits = []
-        if orbits and best.cost - orbits[0].cost > (ORBIT_COST_GAIN if len(cameras) > 2 else MATCH_COST_GAP):
+        if orbits and best.cost - orbits[0].cost > (
+            INTERSECTION.orbit_cost_gain if len(cameras) > 2 else INTERSECTION.match_cost_gap
+        ):
             return orbits, False
     return straight, True
 
@@ -181,7 +171,7 @@ def is_straight(motion: ImageMotion) -> bool:
         return True
     along = motion.b_px / size
     variance = float(along @ motion.covariance_px2[4:, 4:] @ along)
-    return not size**2 > STRAIGHT_RATIO2 * variance
+    return not size**2 > INTERSECTION.straight_ratio2 * variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -331,14 +321,14 @@ def _are_distinct(first: Candidate, second: Candidate) -> bool:
         inverse = np.linalg.pinv(block + 1e-12 * np.eye(3), hermitian=True)
         here, there = first.motion_mm[axis], second.motion_mm[axis]
         distance2 = max(distance2, min(float((here - s * there) @ inverse @ (here - s * there)) for s in (1.0, -1.0)))
-    return distance2 > chi2.isf(DISTINCT_PROBABILITY, 3)
+    return distance2 > chi2.isf(INTERSECTION.distinct_probability, 3)
 
 
 def _are_equal(first: Candidate, second: Candidate) -> bool:
     """Tell whether two candidates are the same for any practical purpose."""
     here, there = first.motion_mm[1:], second.motion_mm[1:]
     unphased = np.minimum(np.abs(here - there).max(axis=1), np.abs(here + there).max(axis=1))
-    return bool(unphased.max() < SAME_ROOT_MM)
+    return bool(unphased.max() < INTERSECTION.same_root_mm)
 
 
 def _object_motion(candidate: Candidate, ratio: float | None, *, phased: bool) -> ObjectMotion:
@@ -351,8 +341,8 @@ def _object_motion(candidate: Candidate, ratio: float | None, *, phased: bool) -
         covariance = covariance * np.outer(nine, nine)
     poor = (
         candidate.freedom > 0
-        and candidate.cost > chi2.isf(POOR_FIT_PROBABILITY, candidate.freedom)
-        and candidate.worst_px > POOR_FIT_PX
+        and candidate.cost > chi2.isf(INTERSECTION.poor_fit_probability, candidate.freedom)
+        and candidate.worst_px > INTERSECTION.poor_fit_px
     )
     flags = frozenset({Flag.POOR_FIT}) if poor else frozenset()
     return ObjectMotion(motion[0], motion[1], motion[2], covariance, ratio, flags)

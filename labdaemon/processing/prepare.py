@@ -10,7 +10,7 @@ import numpy as np
 
 from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, make_textured_patch
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.sharp.texture_map import MAX_RADIUS_PX
+from labdaemon.blur.settings import TEXTURE_MAP
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
@@ -284,7 +284,9 @@ def _sizes(view: OrientedCamera, survey: CameraSurvey) -> tuple[float, float]:
 
 def _around(dot: Dot, frame: RawFrame) -> Patch:
     """The part of a frame that holds a dot and its paper."""
-    half = int(np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + MAX_RADIUS_PX))))
+    half = int(
+        np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + TEXTURE_MAP.max_radius_px)))
+    )
     return frame.patch(round(dot.x_px) - half, round(dot.y_px) - half, 2 * half + 1, 2 * half + 1)
 
 

@@ -1,4 +1,4 @@
-"""A renderer by area sampling, in the plain sense: a finely sampled picture of a dot is drawn at many instants,
+"""A renderer by area sampling, in the plain sense: a finely sampled image of a dot is drawn at many instants,
 averaged, blurred by a sampled lens kernel, binned into pixels, and given noise. It shares no formula with the fit.
 """
 

@@ -154,7 +154,7 @@ def test_any_geometry_light_and_noise(area, radius, ratio, size, angle, gradient
 
 @pytest.mark.slow
 def test_errors_are_as_large_as_stated(area):
-    """Pulls over size, light, noise, amplitude and paper grain have an rms of about one."""
+    """Pulls over size, light, noise, amplitude and paper texture have an rms of about one."""
     pulls = []
     for index, (radius, white, texture) in enumerate(
         ((9.6, 2500.0, 0.0), (15.7, 1200.0, 0.004), (20.0, 2500.0, 0.004))
@@ -272,7 +272,7 @@ def test_a_dot_that_came_nearer_on_its_way_aside_is_larger_and_moves_no_more(are
 
 @pytest.mark.parametrize("depth", [0.1, 0.3])
 def test_bands_of_flicker_are_flagged_or_measured(area, depth):
-    """Light that comes and goes from row to row looks like something in front, until nothing is left to see."""
+    """Light that comes and goes from row to row resembles something in front, until nothing is left to see."""
     scene = area.Scene()
     sharp, _ = sharp_of(area, scene)
     blurred, _ = blurred_of(area, scene, (5.0, 2.0))

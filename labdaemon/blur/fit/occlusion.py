@@ -21,6 +21,7 @@ from labdaemon.blur.patch.colour_planes import ColourPlanes, make_grid, make_pla
 from labdaemon.blur.patch.illumination import paper_level, render_illumination
 from labdaemon.blur.patch.locate import Blob
 from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
+from labdaemon.blur.settings import OCCLUSION
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
 from labdaemon.blur.sharp.weights import nuisance_prior, pixel_weights
 from labdaemon.blur.smear.forward_model import FitProblem, forward_model, rest_spectra
@@ -29,46 +30,19 @@ from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.spectra import closed_form
 from labdaemon.flags import Flag
 
-TRIAL_AMPLITUDES = (0.15, 0.35, 0.8, 1.4, 2.2)
-"""Semi-amplitudes that are tried, in radii of the dot; rest is tried too."""
-TRIAL_DIRECTIONS = 8
-TRIAL_STEP = 0.3
-"""How far apart places are tried, in radii."""
-RANKING_LIMIT = 25.0
-"""Residuals from which a pixel counts as not the target's while motions are compared: they only come near."""
-BIWEIGHT_LIMITS = (25.0, 12.0, 6.0)
-"""The same while the best ones are fitted."""
-FITTED_MOTIONS = 6
-"""Motions that are fitted."""
-OUTLIER_LIMIT = 4.0
-OCCLUDER_MARGINS_PX = (2, 4)
-"""How far a cover's soft edge may reach beyond what stands out of the noise, px."""
-MIN_VISIBLE_FRACTION = 0.03
-"""Part of the smear's darkness that must be in view."""
-MISSING_FRACTION = 0.08
-"""Part of the target's darkness that no motion takes away or adds."""
-OUTLINE_FRACTION = 0.3
-"""Part of the motion by which another motion's outline may differ."""
-ABSENT_FRACTION = 0.85
-"""Part of it that is missing where there is no target at all, or nothing to be seen of it."""
-MAX_CONTRAST_CHANGE = 0.12
-"""How far the contrast may differ from the sharp frame's: a cover that is taken for a dot has another."""
-MAX_SD_PX, MAX_SD_FRACTION = 0.3, 0.05
-"""Standard deviation, in pixels or of the amplitude, of a measurement that is not worth giving; twice that at rest."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OcclusionEvidence:
-    """A smear beside what the patch shows.
+    """A modelled smear compared with the patch.
 
     Attributes
     ----------
     model
-        (H, W) the smear, 0 on paper.
+        (H, W) modelled darkness, 0 on paper.
     observed
-        (H, W) how dark the patch is.
+        (H, W) observed darkness.
     outliers
-        (H, W) bool, where they differ.
+        (H, W) bool, where the two differ significantly.
     """
 
     model: FloatArray
@@ -123,18 +97,18 @@ def fit_occluded(
     if np.isfinite(found.centre_px).all():
         parameters = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(problem.shape_count)))
         whole_patch = _compare(sharp, planes, best.light, forward_model(problem, fixed_transfer(found))(parameters)[0])
-        # A fit that went astray says nothing.
+        # A fit that did not converge to the target is no evidence.
         if abs(
             float(whole_patch.model.sum()) / float(evidence.model.sum()) - 1
-        ) < MISSING_FRACTION and not _shows_occluder(whole_patch):
+        ) < OCCLUSION.missing_fraction and not _shows_occluder(whole_patch):
             return None
     unmeasured = empty_measurement(sharp.name, {Flag.OCCLUDED, Flag.NOT_FOUND})
     if not _has_ink_contrast(sharp, planes, best):
         return unmeasured
     margin_fits = []
-    for margin in OCCLUDER_MARGINS_PX:
+    for margin in OCCLUSION.margins_px:
         hidden = ndimage.binary_dilation(evidence.outliers, iterations=margin)
-        if evidence.model[~hidden].sum() < MIN_VISIBLE_FRACTION * evidence.model.sum():
+        if evidence.model[~hidden].sum() < OCCLUSION.min_visible_fraction * evidence.model.sum():
             return unmeasured
         margin_fits.append(fit(_mask_occluder(problem, best, hidden, sharp, blur)))
     return _combine_margins(margin_fits[0], margin_fits[1], unmeasured)
@@ -180,22 +154,22 @@ def _fit_consensus(
         for place in candidate_centres_px
         for a in _trial_motions(radius)
     ]
-    tried.sort(key=lambda p: disagreement(p, light, RANKING_LIMIT))
+    tried.sort(key=lambda p: disagreement(p, light, OCCLUSION.ranking_limit))
     near = [
         p + np.concatenate((d, np.zeros(len(p) - 2)))
-        for p in tried[:FITTED_MOTIONS]
-        for d in _trial_offsets(TRIAL_STEP * radius)
+        for p in tried[: OCCLUSION.fitted_motions]
+        for d in _trial_offsets(OCCLUSION.trial_step * radius)
     ]
-    near.sort(key=lambda p: disagreement(p, light, RANKING_LIMIT))
+    near.sort(key=lambda p: disagreement(p, light, OCCLUSION.ranking_limit))
     prior = nuisance_prior(sharp, blur, 2)
     best: Solution | None = None
     least = np.inf
-    for start in near[:FITTED_MOTIONS]:
+    for start in near[: OCCLUSION.fitted_motions]:
         p, its_light = start, light
-        for sigmas in BIWEIGHT_LIMITS:
+        for sigmas in OCCLUSION.biweight_limits:
             found = solve(planes, _biweight(planes, base, sigmas), model, p, prior, light=its_light)
             p, its_light = found.p, found.light
-        remains = disagreement(p, its_light, BIWEIGHT_LIMITS[-1])
+        remains = disagreement(p, its_light, OCCLUSION.biweight_limits[-1])
         if best is None or remains < least:
             best, least = found, remains
     assert best is not None
@@ -208,7 +182,7 @@ def _compare(sharp: SharpTarget, planes: ColourPlanes, light: FloatArray, dark: 
     weight = pixel_weights(sharp, planes)(np.maximum(signal, 0))
     residual = merge_planes(planes, (planes.values - signal) * np.sqrt(weight))
     smooth = ndimage.uniform_filter(residual, 3) * 3.0
-    outliers = ndimage.binary_opening(np.abs(smooth) > OUTLIER_LIMIT, iterations=1)
+    outliers = ndimage.binary_opening(np.abs(smooth) > OCCLUSION.outlier_limit, iterations=1)
     outliers = ndimage.binary_closing(np.pad(outliers, 3), iterations=2)[3:-3, 3:-3]
     paper = paper_level(planes, light)
     depth = np.maximum(paper, 1e-9) * np.maximum(light[:, 3, None, None], 0.05)
@@ -226,9 +200,11 @@ def _paper_illumination(sharp: SharpTarget, planes: ColourPlanes) -> FloatArray:
 
 
 def _trial_motions(radius: float) -> list[FloatArray]:
-    angles = np.pi * np.arange(TRIAL_DIRECTIONS) / TRIAL_DIRECTIONS
+    angles = np.pi * np.arange(OCCLUSION.trial_directions) / OCCLUSION.trial_directions
     return [np.full(2, 0.1)] + [
-        length * radius * np.array([np.cos(angle), np.sin(angle)]) for length in TRIAL_AMPLITUDES for angle in angles
+        length * radius * np.array([np.cos(angle), np.sin(angle)])
+        for length in OCCLUSION.trial_amplitudes
+        for angle in angles
     ]
 
 
@@ -259,22 +235,24 @@ def _shows_occluder(evidence: _OcclusionEvidence) -> bool:
     radius = float(np.sqrt(max(area, 0.0) / np.pi))
     smear, core = evidence.model > 0.02, evidence.model > 0.985
     length = max((int(np.ptp(np.nonzero(smear.any(axis=axis)))) for axis in (0, 1)), default=0) if smear.any() else 0
-    # Another motion's outline may lie by a part of the motion beside this one's.
-    rim = 3 + int(OUTLINE_FRACTION * max(length / 2 - radius, 0.0))
+    # The outline of another motion may differ from this one's by a part of the motion.
+    rim = 3 + int(OCCLUSION.outline_fraction * max(length / 2 - radius, 0.0))
     outside = np.count_nonzero(evidence.outliers & ~ndimage.binary_dilation(smear, iterations=rim))
     inside = np.count_nonzero(evidence.outliers & ndimage.binary_erosion(core, iterations=rim))
     around = ndimage.binary_dilation(smear, iterations=max(rim, int(radius / 2)))
     missing = 1 - float(evidence.observed[around].sum()) / max(area, 1.0)
-    if missing > ABSENT_FRACTION:
+    if missing > OCCLUSION.absent_fraction:
         return False
-    return bool(outside > max(0.05 * area, 12) or inside > max(0.02 * area, 8) or abs(missing) > MISSING_FRACTION)
+    return bool(
+        outside > max(0.05 * area, 12) or inside > max(0.02 * area, 8) or abs(missing) > OCCLUSION.missing_fraction
+    )
 
 
 def _has_ink_contrast(sharp: SharpTarget, planes: ColourPlanes, solution: Solution) -> bool:
     """Whether the smear is as dark as the target's ink."""
     known = np.array([sharp.contrast.get(int(channel), np.nan) for channel in planes.channel])
     ratio = solution.light[:, 3] / known
-    return bool(np.abs(np.nanmedian(ratio) - 1) < MAX_CONTRAST_CHANGE)
+    return bool(np.abs(np.nanmedian(ratio) - 1) < OCCLUSION.max_contrast_change)
 
 
 def _mask_occluder(
@@ -304,7 +282,9 @@ def _combine_margins(near: Measurement, far: Measurement, unmeasured: Measuremen
     covariance = far.covariance_px2 + np.outer(away, away)
     sd = float(np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[1]))
     loosest = (
-        2 * MAX_SD_PX if Flag.AT_REST in far.flags else max(MAX_SD_PX, MAX_SD_FRACTION * float(np.hypot(*far.a_px)))
+        2 * OCCLUSION.max_sd_px
+        if Flag.AT_REST in far.flags
+        else max(OCCLUSION.max_sd_px, OCCLUSION.max_sd_fraction * float(np.hypot(*far.a_px)))
     )
     if sd > loosest:
         return unmeasured

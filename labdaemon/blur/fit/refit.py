@@ -1,4 +1,4 @@
-"""What stands in the way: something in front of a target, the paper's edge, a white that clips."""
+"""Failed fits: their reason as flags, and a second fit without the largest region of outliers."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from labdaemon.blur.patch.colour_planes import merge_planes, split_planes
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.locate import find_blob
 from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
+from labdaemon.blur.settings import REFIT
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import pixel_weights
 from labdaemon.blur.smear.forward_model import FitProblem, forward_model
 from labdaemon.blur.spectra import closed_form
 from labdaemon.flags import Flag
-
-OUTLIER_LIMIT = 4.0
-MAX_HIDDEN_FRACTION = 0.45  # part of the patch that may be covered and the rest still believed
 
 
 def failure_flags(sharp: SharpTarget, patch: Patch, expected_px: FloatArray) -> set[Flag]:
@@ -41,10 +39,10 @@ def failure_flags(sharp: SharpTarget, patch: Patch, expected_px: FloatArray) -> 
 def refit_without_occluder(
     sharp: SharpTarget, problem: FitProblem, found: Measurement, fit: Callable[[FitProblem], Measurement]
 ) -> Measurement:
-    """Fit again without a compact part of the patch that does not look like the rest.
+    """Fit again without the largest connected region of outliers.
 
-    Something in front of a target spoils one place wholly; a motion that is not what was assumed spoils the smear's
-    whole outline a little. If the rest fits by itself the measurement is the rest's, flagged `occluded`; else it stays.
+    An occluder spoils one region completely. A motion other than the assumed one spoils the whole outline of the smear
+    a little. If the rest fits, the measurement of the rest is returned with the flag `occluded`; else the first one.
     """
     for _ in range(2):
         hidden = _largest_outlier_region(sharp, problem, found)
@@ -60,14 +58,14 @@ def refit_without_occluder(
 
 
 def _largest_outlier_region(sharp: SharpTarget, problem: FitProblem, found: Measurement) -> BoolArray | None:
-    """The one connected place where residuals are far from noise; None if there is none, or too much of it."""
+    """(H, W) largest connected region of outliers; None without outliers, and where the region is too large."""
     planes = problem.planes
     if not np.all(np.isfinite([*found.centre_px, found.defocus_px2])):
         return None
     dark, weight, light = _modelled_image(sharp, problem, found)
     residual = merge_planes(planes, (planes.values - render_illumination(planes, light, dark)) * np.sqrt(weight))
     smooth = ndimage.uniform_filter(residual, 3) * 3.0
-    outliers = np.abs(smooth) > max(OUTLIER_LIMIT, 2.5 * 1.48 * float(np.median(np.abs(smooth))))
+    outliers = np.abs(smooth) > max(REFIT.outlier_limit, 2.5 * 1.48 * float(np.median(np.abs(smooth))))
     labels, count = ndimage.label(ndimage.binary_closing(outliers, iterations=2))
     if count == 0:
         return None
@@ -76,18 +74,18 @@ def _largest_outlier_region(sharp: SharpTarget, problem: FitProblem, found: Meas
     if _is_point_symmetric(region, residual, found.centre_px - np.asarray(planes.origin_px)):
         return None
     region = ndimage.binary_dilation(region, iterations=3)
-    return None if region.mean() > MAX_HIDDEN_FRACTION else region
+    return None if region.mean() > REFIT.max_hidden_fraction else region
 
 
 def contrast_ratio(sharp: SharpTarget, problem: FitProblem, found: Measurement) -> float:
-    """Contrast of what moved as was found, in parts of the sharp picture's: about 1 for a texture that is there."""
+    """Fitted contrast over the sharp image's: about 1 where the textured patch is in the frame."""
     return float(np.median(_modelled_image(sharp, problem, found)[2][:, 3]))
 
 
 def _modelled_image(
     sharp: SharpTarget, problem: FitProblem, found: Measurement
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Darkness by the motion that was found, weights, and the light fitted to it over everything."""
+    """Modelled darkness under the motion that was found, weights, and the illumination fitted to the whole patch."""
     planes = problem.planes
     parameters = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(problem.shape_count)))
     dark, _ = forward_model(problem, fixed_transfer(found))(parameters)
@@ -96,7 +94,7 @@ def _modelled_image(
 
 
 def _is_point_symmetric(region: BoolArray, residual: FloatArray, centre: FloatArray) -> bool:
-    """Whether residuals opposite a place are of its kind: to and fro a wrong motion errs alike, a cover does not."""
+    """Whether the residuals are symmetric about the centre: a wrong motion errs symmetrically, an occluder does not."""
     ys, xs = np.nonzero(region)
     x, y = np.rint(2 * centre[0] - xs).astype(int), np.rint(2 * centre[1] - ys).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < residual.shape[1]) & (y < residual.shape[0])
@@ -107,7 +105,7 @@ def _is_point_symmetric(region: BoolArray, residual: FloatArray, centre: FloatAr
 
 
 def fixed_transfer(found: Measurement) -> Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """The motion that was found, as a model without parameters."""
+    """Transfer function of the motion that was found, without parameters."""
     a, b = np.nan_to_num(found.a_px), np.nan_to_num(found.b_px)
     moment = np.array([a[0] ** 2 + b[0] ** 2, a[0] * a[1] + b[0] * b[1], a[1] ** 2 + b[1] ** 2])
 

@@ -1,4 +1,4 @@
-"""What does not move tells what the camera did: its shift and its change of focus."""
+"""Targets that do not move: they measure the shift and the defocus of a frame."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from labdaemon.blur.motion import Defocus, InitialGuess, StaticMeasurement
 from labdaemon.blur.patch.illumination import solve_illumination
 from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.settings import STATIC_TARGET
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import nuisance_prior, pixel_weights
 from labdaemon.blur.smear.forward_model import FitProblem, forward_model, prepare_fit
@@ -18,10 +19,7 @@ from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import DarknessModel, solve
 from labdaemon.flags import Flag
 
-UNKNOWN_DEFOCUS = Defocus(0.0, 30.0)
-SAME_SHIFT_PX = 0.05
-MAX_UNSHIFTED_PX = 0.1  # a fit that moved further began with weights that are not its end's
-POOR_CHI2 = 2.0  # a picture's own interpolation already makes some 1.5
+UNKNOWN_DEFOCUS = Defocus(0.0, STATIC_TARGET.defocus_sd_px2)
 
 
 def measure_static(sharp: SharpTarget, patch: Patch, *, initial_guess: InitialGuess | None = None) -> StaticMeasurement:
@@ -77,12 +75,12 @@ def measure_static(sharp: SharpTarget, patch: Patch, *, initial_guess: InitialGu
     best = _fit_without_shift(sharp, problem, first, weights, model, fit)
     tries = [(0.0, 0.0)] if problem.blob is not None else [(0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)]
     for dx, dy in tries:
-        if best is not None and best.chi2 < POOR_CHI2:
+        if best is not None and best.chi2 < STATIC_TARGET.poor_chi2:
             break
         begin = first.copy()
         begin[:2] += (dx, dy)
         found = fit(begin)
-        again = best is not None and float(np.hypot(*(found.p - best.p)[:2])) < SAME_SHIFT_PX
+        again = best is not None and float(np.hypot(*(found.p - best.p)[:2])) < STATIC_TARGET.same_shift_px
         if best is None or found.cost < best.cost:
             best = found
         if again:  # two ways that end in one place found the right one
@@ -91,7 +89,7 @@ def measure_static(sharp: SharpTarget, patch: Patch, *, initial_guess: InitialGu
     best = correct_template_noise_bias(sharp, problem, best, None)
     covariance = robust_covariance(sharp, best, problem.planes)[:3, :3]
     covariance[:2, :2] += sharp.covariance_px2
-    flags = {Flag.POOR_FIT} if best.chi2 > POOR_CHI2 and sharp.noise_known else set()
+    flags = {Flag.POOR_FIT} if best.chi2 > STATIC_TARGET.poor_chi2 and sharp.noise_known else set()
     return StaticMeasurement(
         sharp.name,
         sharp.centre_px,
@@ -112,8 +110,8 @@ def _fit_without_shift(
     fit: Callable[[FloatArray, FloatArray], Solution],
 ) -> Solution | None:
     """The fit of a frame that did not shift, as most do not: what it begins with is nearly its end. None if it did."""
-    if np.abs(problem.initial_centre_px - sharp.centre_px).max() > MAX_UNSHIFTED_PX:
+    if np.abs(problem.initial_centre_px - sharp.centre_px).max() > STATIC_TARGET.max_unshifted_px:
         return None
     dark, _ = model(first)
     found = fit(first, solve_illumination(problem.planes, weights(np.maximum(problem.planes.values, 0)), dark))
-    return found if np.abs(found.p[:2] - first[:2]).max() < MAX_UNSHIFTED_PX else None
+    return found if np.abs(found.p[:2] - first[:2]).max() < STATIC_TARGET.max_unshifted_px else None

@@ -7,11 +7,12 @@ import numpy as np
 from labdaemon.blur.axes import moment_matrix, orient_positive
 from labdaemon.blur.motion import Defocus, Measurement
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
+from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import noise_scale, nuisance_prior, pixel_weights
 from labdaemon.blur.smear.forward_model import FitProblem, forward_model
 from labdaemon.blur.smear.initial_parameters import initial_parameters
-from labdaemon.blur.smear.uncertainty import REST_SIGMAS, quality_flags, robust_covariance
+from labdaemon.blur.smear.uncertainty import quality_flags, robust_covariance
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import MotionWaveform, quadrature_transfer
 from labdaemon.flags import Flag
@@ -51,7 +52,7 @@ def measure_waveform(sharp: SharpTarget, problem: FitProblem, blur: Defocus, wav
         covariance[2:4, :2] *= -1
     flags = quality_flags(sharp, best, a, np.zeros(2))
     sd = float(np.sqrt(a @ covariance[2:4, 2:4] @ a)) / max(float(np.hypot(*a)), 1e-12)
-    if float(np.hypot(*a)) < REST_SIGMAS * sd:
+    if float(np.hypot(*a)) < UNCERTAINTY.rest_sds * sd:
         flags.add(Flag.AT_REST)
     return Measurement(
         sharp.name, best.p[:2].copy(), a, np.zeros(2), covariance, signed, frozenset(flags), float(best.p[2]), best.chi2

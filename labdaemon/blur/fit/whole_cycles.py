@@ -10,27 +10,22 @@ import numpy as np
 from labdaemon.blur.axes import axes_from_moment, moment_matrix, orient_positive, principal_moments
 from labdaemon.blur.motion import Defocus, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.settings import SOLVER, UNCERTAINTY, WHOLE_CYCLES
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
 from labdaemon.blur.sharp.weights import noise_scale, nuisance_prior, pixel_weights
 from labdaemon.blur.smear.forward_model import FitProblem, forward_model, prepare_fit
 from labdaemon.blur.smear.gls import gls_refine
 from labdaemon.blur.smear.initial_parameters import initial_parameters
 from labdaemon.blur.smear.template_noise import correct_template_noise_bias
-from labdaemon.blur.smear.uncertainty import POOR_CHI2, REST_SIGMAS, quality_flags, robust_covariance, saturation_flags
+from labdaemon.blur.smear.uncertainty import quality_flags, robust_covariance, saturation_flags
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
-from labdaemon.blur.solver.solve import LINEAR_STEP, gauss_newton_step, project_to_submodel, solve, warm_start
+from labdaemon.blur.solver.solve import gauss_newton_step, project_to_submodel, solve, warm_start
 from labdaemon.blur.spectra import closed_form
 from labdaemon.flags import Flag
 
-MIN_MOMENT_PX2 = 0.05  # a straight path's a² to start from: at rest the picture does not depend on a
-FIXED_MOMENT_PX2 = 1e-4  # the same where a is not fitted at all
-MIN_FAST_AMPLITUDE_PX = (
-    1.2  # semi-amplitude from which a smear's own moments are a start good enough for a straight fit
-)
 # Steps of an approach that may be its last: a moment is nearly linear, a path's end less so.
-LAST_PATH_STEP = np.array([0.2, 0.2, 0.2, 0.2, 0.2])
-LAST_ORBIT_STEP = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0])
-DEFOCUS_RANGE_PX2 = (-1.0, 50.0)  # extra blur that a frame can have
+LAST_PATH_STEP = np.full(5, WHOLE_CYCLES.last_step_px)
+LAST_ORBIT_STEP = np.repeat([WHOLE_CYCLES.last_step_px, WHOLE_CYCLES.last_moment_step_px2], 3)
 DIRECTION_SCAN = np.linspace(-1.0, 1.0, 91)
 
 
@@ -71,9 +66,13 @@ def measure_whole_cycles(
     spread = robust_covariance(sharp, orbit_fit, problem.planes)
     lam, _, _, cov = principal_moments(orbit_fit.p[3 + k :], spread[3 + k :, 3 + k :])
     sd = np.sqrt(np.maximum(np.diag(cov), 0))
-    # A round orbit and a defocus look alike: without controls, what one loses must not become the other.
+    # A round orbit and a defocus are indistinguishable: without controls, what one loses must not become the other.
     minor = lam[1] + (2 * (orbit_fit.p[2] - blur.mean_px2) if blur.anisotropy_px2 > 0 else 0.0)
-    if orbit and lam[0] > REST_SIGMAS * sd[0] and minor > REST_SIGMAS * np.hypot(sd[1], blur.anisotropy_px2):
+    if (
+        orbit
+        and lam[0] > UNCERTAINTY.rest_sds * sd[0]
+        and minor > UNCERTAINTY.rest_sds * np.hypot(sd[1], blur.anisotropy_px2)
+    ):
         orbit_fit = gls_refine(
             sharp,
             problem,
@@ -88,10 +87,10 @@ def measure_whole_cycles(
         )
         best, a, b = orbit_fit, value[2:4], value[4:]
     else:
-        # Where a² is seen and b² is not, a step from the orbit's straight neighbour leaves a hundredth of a deviation.
-        narrow = sharp.noise_known and orbit_fit.converged and abs(lam[1]) < REST_SIGMAS * sd[1]
-        clear = narrow and lam[0] > REST_SIGMAS * sd[0]
-        rest = _is_plain(sharp) and not is_thin and orbit_fit.converged and lam[0] < REST_SIGMAS * sd[0]
+        # Where a² is seen and b² is not, one step from the nearest straight path is exact to a hundredth of an sd.
+        narrow = sharp.noise_known and orbit_fit.converged and abs(lam[1]) < UNCERTAINTY.rest_sds * sd[1]
+        clear = narrow and lam[0] > UNCERTAINTY.rest_sds * sd[0]
+        rest = _is_plain(sharp) and not is_thin and orbit_fit.converged and lam[0] < UNCERTAINTY.rest_sds * sd[0]
         best = _fit_straight(sharp, problem, blur, orbit_fit, scale, converged=is_thin or clear, held=rest)
         spread = robust_covariance(sharp, best, problem.planes)
         a, b, covariance = _straight_axes(best.p, spread, k, float(sd[1]))
@@ -103,11 +102,11 @@ def measure_whole_cycles(
     along = a / max(size, 1e-12)
     sd_along = float(np.sqrt(along @ covariance[2:4, 2:4] @ along))
     flags |= saturation_flags(problem.planes, min(sd_along, np.sqrt(sd[0])), size)
-    # The amplitude shows by its square: it is seen when that exceeds three of its own deviations.
+    # The amplitude shows by its square: it is seen when that exceeds three of its own standard deviations.
     sd_square = 2 * size * sd_along
-    rest = lam[0] < REST_SIGMAS * sd[0]
+    rest = lam[0] < UNCERTAINTY.rest_sds * sd[0]
     limit = float(np.hypot(sd_square, max(blur.anisotropy_px2, 0.0)))
-    if rest or size**2 < REST_SIGMAS * limit:
+    if rest or size**2 < UNCERTAINTY.rest_sds * limit:
         flags.add(Flag.AT_REST)
         covariance = _covariance_at_rest(covariance, size, max(limit, float(sd[0]) if rest else 0.0))
     return Measurement(
@@ -123,7 +122,7 @@ def measure_whole_cycles(
 
 
 def _is_plain(sharp: SharpTarget) -> bool:
-    """A dot with reliable noise and nothing but grain on its paper: no fit of it needs more than one start."""
+    """A dot with reliable noise and nothing but paper texture on its paper: no fit of it needs more than one start."""
     return sharp.noise_known and isinstance(sharp.form, EllipseShape) and sharp.form.template_residual is None
 
 
@@ -132,7 +131,7 @@ def _fit_orbit_fast(
 ) -> tuple[Solution, bool] | None:
     """The orbit's fit by way of one with the target's shape held: one step frees the shape. None where that fails.
 
-    The second value tells that the path is long and straight, and was fitted as such.
+    The second value is True where a long straight path was fitted first.
     """
     k = problem.shape_count
     prior = nuisance_prior(sharp, blur, 3)
@@ -145,11 +144,14 @@ def _fit_orbit_fast(
     def free_shape(at: FloatArray, moment: FloatArray, light: FloatArray) -> Solution | None:
         begin = np.concatenate((at[:3], np.zeros(k), moment))
         orbit_fit = gauss_newton_step(problem.planes, weights, model, begin, prior, light)
-        kept = orbit_fit.chi2 < POOR_CHI2 and float(np.max(np.abs(orbit_fit.p[3 : 3 + k]))) < LINEAR_STEP
+        kept = (
+            orbit_fit.chi2 < UNCERTAINTY.poor_chi2
+            and float(np.max(np.abs(orbit_fit.p[3 : 3 + k]))) < SOLVER.linear_step_px
+        )
         return orbit_fit if kept else None
 
     values, vectors = np.linalg.eigh(moment_matrix(start[3 + k :]))
-    if values[1] - values[0] >= MIN_FAST_AMPLITUDE_PX**2 and values[0] <= 0.1 * values[1] + 4.0:
+    if values[1] - values[0] >= WHOLE_CYCLES.min_fast_amplitude_px**2 and values[0] <= 0.1 * values[1] + 4.0:
         begin = np.concatenate((start[:3], np.sqrt(values[1]) * vectors[:, 1]))
         path = warm_start(
             problem.planes,
@@ -160,7 +162,7 @@ def _fit_orbit_fast(
             LAST_PATH_STEP,
             bound=_clip_defocus,
         )
-        if path is not None and float(np.hypot(*path[0][3:])) >= MIN_FAST_AMPLITUDE_PX:
+        if path is not None and float(np.hypot(*path[0][3:])) >= WHOLE_CYCLES.min_fast_amplitude_px:
             ax, ay = path[0][3:]
             orbit_fit = free_shape(path[0], np.array([ax**2, ax * ay, ay**2]), path[1])
             if orbit_fit is not None:
@@ -192,8 +194,8 @@ def _orbit_bounds(k: int) -> Callable[[FloatArray], FloatArray]:
     def bound(p: FloatArray) -> FloatArray:
         p = p.copy()
         low, axes = np.linalg.eigh(moment_matrix(p[3 + k :]))
-        if low[0] < -1.5:
-            fixed = axes @ np.diag(np.maximum(low, -1.5)) @ axes.T
+        if low[0] < WHOLE_CYCLES.min_moment_eigenvalue_px2:
+            fixed = axes @ np.diag(np.maximum(low, WHOLE_CYCLES.min_moment_eigenvalue_px2)) @ axes.T
             p[3 + k :] = fixed[0, 0], fixed[0, 1], fixed[1, 1]
         return _clip_defocus(p)
 
@@ -203,7 +205,7 @@ def _orbit_bounds(k: int) -> Callable[[FloatArray], FloatArray]:
 def _clip_defocus(p: FloatArray) -> FloatArray:
     """Keeps the extra blur where a frame can have it."""
     p = p.copy()
-    p[2] = np.clip(p[2], *DEFOCUS_RANGE_PX2)
+    p[2] = np.clip(p[2], WHOLE_CYCLES.min_defocus_px2, WHOLE_CYCLES.max_defocus_px2)
     return p
 
 
@@ -236,14 +238,16 @@ def _fit_straight(
 ) -> Solution:
     """The straight path: next to the orbit where `converged`; with a as the orbit says where `held`: it does not show.
 
-    There, where grain is to be weighed, its own step is the only look at the picture.
+    There, where paper texture is to be weighed, its own step is the only look at the image.
     """
     k = problem.shape_count
     prior = nuisance_prior(sharp, blur, 2)
-    start, step = _nearest_straight_path(orbit_fit, k, FIXED_MOMENT_PX2 if held else MIN_MOMENT_PX2)
+    start, step = _nearest_straight_path(
+        orbit_fit, k, WHOLE_CYCLES.fixed_moment_px2 if held else WHOLE_CYCLES.min_moment_px2
+    )
     if held:
         precision = prior.precision.copy()
-        precision[3 + k :, 3 + k :] = np.eye(2) / FIXED_MOMENT_PX2**2
+        precision[3 + k :, 3 + k :] = np.eye(2) / WHOLE_CYCLES.fixed_moment_px2**2
         prior = Prior(np.concatenate((prior.mean[: 3 + k], start[3 + k :])), precision)
     if held or converged:
         best = project_to_submodel(
@@ -273,7 +277,7 @@ def _moment_jacobian(a: FloatArray, k: int) -> FloatArray:
 def _nearest_straight_path(orbit_fit: Solution, k: int, least_px2: float) -> tuple[FloatArray, FloatArray]:
     """Straight path (x, y, extra variance, shape…, ax, ay) that an orbit's fit makes most likely, and the step to it.
 
-    The cost is nearly quadratic in the second moment M, so that the best M = aaᵀ is found without the picture.
+    The cost is nearly quadratic in the second moment M, so that the best M = aaᵀ is found without the image.
     """
     moment = orbit_fit.p[3 + k :]
     precision = np.linalg.inv(orbit_fit.covariance[3 + k :, 3 + k :])
@@ -314,7 +318,7 @@ def _straight_axes(
         covariance[2:4, :2] *= -1
         a = -a
     across = np.array([-a[1], a[0]]) / max(float(np.hypot(*a)), 1e-12)
-    # b² is known to ± its own deviation, so |b| may be as large as the root of that.
+    # b² is known to ± its own standard deviation, so |b| may be as large as the root of that.
     covariance[4:, 4:] = sd_minor_px2 * np.outer(across, across)
     return a, np.zeros(2), covariance
 

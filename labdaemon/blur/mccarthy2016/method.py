@@ -4,7 +4,7 @@ McCarthy, Chandler and Palmeri (2016), "Monitoring 3D vibrations in structures u
 section "Image-processing procedure". It is the baseline that `labdaemon.blur.measure` is held against, and is
 implemented as printed, its faults included:
 
-- Features of profiles lie beside a blurred edge, not on it. The second stage therefore reads too much: 1.3 px of
+- Features of profiles lie next to a blurred edge, not on it. The second stage therefore reads too much: 1.3 px of
   semi-amplitude on a target at rest, 0.6 to 0.75 px from 2 px on (rendered dots of 18 and 31 px, lens blur 0.8 px).
 - Equation (2), a raised cosine, stands for the dwell of a sinusoid. As printed its support has unit width; it is read
   as U-shaped over the path's full length L. Its variance is (1/3 + 2/π²) A² = 0.536 A² where the true one is 0.5 A²,
@@ -25,11 +25,8 @@ from labdaemon.blur.mccarthy2016.profiles import PathEnds, ProfileFrame, find_en
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.patch.locate import darkness_map, mask_pixels
 from labdaemon.blur.patch.pixels import Dot, FloatArray, Patch
+from labdaemon.blur.settings import PROFILE
 from labdaemon.flags import Flag
-
-PROFILES = 20
-THRESHOLD_PX = 0.01
-_MAX_ITERATIONS = 40
 
 
 def measure_mccarthy2016(
@@ -38,8 +35,8 @@ def measure_mccarthy2016(
     blurred: Patch,
     *,
     start_px: FloatArray | None = None,
-    profiles: int = PROFILES,
-    threshold_px: float = THRESHOLD_PX,
+    profiles: int = PROFILE.profiles,
+    threshold_px: float = PROFILE.threshold_px,
     refine: bool = True,
 ) -> Measurement:
     """Measure a dot's motion by the published method.
@@ -57,7 +54,7 @@ def measure_mccarthy2016(
     profiles
         Number of profiles; 20 in the paper.
     threshold_px
-        The refinement ends when the path measured in the simulated picture, as a vector, is this close to the real
+        The refinement ends when the path measured in the simulated image, as a vector, is this close to the real
         one's.
     refine
         False stops after the second stage.
@@ -113,7 +110,7 @@ def raised_cosine(length_px: float, angle_rad: float) -> FloatArray:
 
     Returns
     -------
-    (n, n), n odd.
+    (n, n); n is not even.
     """
     half = length_px / 2.0
     reach = int(np.ceil(half)) + 1
@@ -146,14 +143,14 @@ def _refine(
     profiles: int,
     threshold_px: float,
 ) -> tuple[FloatArray, bool]:
-    """Third stage: adjust the kernel by the discrepancy of the profiles until the simulated picture measures alike."""
+    """Third stage: adjust the kernel until the simulated image gives the same path."""
     x, y = dot.x_px - sharp.origin_px[0], dot.y_px - sharp.origin_px[1]
     room = int(np.ceil(profile_frame.half_length_px * 1.3 + dot.semi_major_px)) + 12
     isolated = np.pad(_isolate_dot(still, x, y, dot), room)
     middle = np.array([x + room, y + room])
     path = real.vector_px
     best, best_gap = path, np.inf
-    for turn in range(_MAX_ITERATIONS):
+    for turn in range(PROFILE.max_iterations):
         kernel = raised_cosine(float(np.hypot(*path)), float(np.arctan2(path[1], path[0])))
         simulated = signal.fftconvolve(isolated, kernel, mode="same")
         simulated_frame = ProfileFrame(
@@ -173,7 +170,7 @@ def _refine(
         if size < threshold_px:
             return best, True
         # Features jump by a sample from one look to the next; smaller steps then keep from swinging about the answer.
-        longer = path + gap * (1.0 if turn < _MAX_ITERATIONS // 4 else 0.4)
+        longer = path + gap * (1.0 if turn < PROFILE.max_iterations // 4 else 0.4)
         # A path that would turn round has shrunk through zero: the target rests. Nor can it be much longer than the
         # profiles say; where the simulated features were mistaken once, this keeps the next look sane.
         path = longer if longer @ real.vector_px > 0.0 else 0.3 * path
@@ -191,7 +188,7 @@ def _mask_beyond_label(patch: Patch, x_px: float, y_px: float, reach_px: float) 
 
 
 def _isolate_dot(still: FloatArray, x: float, y: float, dot: Dot) -> FloatArray:
-    """The sharp dot without what else is in its patch, so that no neighbour's ink is smeared into its picture."""
+    """The sharp dot without what else is in its patch, so that no neighbour's ink is smeared into its image."""
     yy, xx = np.mgrid[0 : still.shape[0], 0 : still.shape[1]]
     distance = np.hypot(xx - x, yy - y)
     return np.where(distance < dot.semi_major_px + 6.0, still, 0.0)

@@ -14,12 +14,7 @@ from scipy import ndimage
 
 from labdaemon.blur.patch import ellipse
 from labdaemon.blur.patch.pixels import FloatArray
-
-STEP_PX = 0.25
-SMOOTHING_PX = 0.8
-"""Standard deviation of the smoothing before differentiation; without it photon noise has features everywhere."""
-CORE_DARKNESS = 0.9
-"""A core this dark was covered all the time: the path is shorter than the dot."""
+from labdaemon.blur.settings import PROFILE
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +24,7 @@ class ProfileFrame:
     Attributes
     ----------
     x_px, y_px
-        Middle of the smear in the picture.
+        Middle of the smear in the image.
     half_length_px, half_width_px
         How far it reaches along and across its path.
     angle_rad
@@ -121,7 +116,7 @@ def find_ends(dark: FloatArray, profile_frame: ProfileFrame, count: int) -> Path
     The two ends; None where the profiles show no features that make two ellipses.
     """
     reach = profile_frame.half_length_px * 1.05 + 4.0
-    along = np.arange(-reach, reach, STEP_PX)
+    along = np.arange(-reach, reach, PROFILE.step_px)
     across = profile_frame.half_width_px * 0.9 * np.linspace(-1.0, 1.0, count)
     axis = np.array([np.cos(profile_frame.angle_rad), np.sin(profile_frame.angle_rad)])
     side = np.array([-axis[1], axis[0]])
@@ -129,17 +124,18 @@ def find_ends(dark: FloatArray, profile_frame: ProfileFrame, count: int) -> Path
     at = origin + along[None, :, None] * axis + across[:, None, None] * side
     rows = ndimage.map_coordinates(dark, [at[..., 1], at[..., 0]], order=1, mode="nearest")
     smooth, slope, curvature = (
-        ndimage.gaussian_filter1d(rows, SMOOTHING_PX / STEP_PX, axis=1, order=order) for order in (0, 1, 2)
+        ndimage.gaussian_filter1d(rows, PROFILE.smoothing_px / PROFILE.step_px, axis=1, order=order)
+        for order in (0, 1, 2)
     )
     middle = smooth[count // 2 - 1 : count // 2 + 2].mean(axis=0)
-    longer = float(middle.max()) < CORE_DARKNESS
+    longer = float(middle.max()) < PROFILE.core_darkness
     found = [(offset, _find_features(*row)) for offset, *row in zip(across, smooth, slope, curvature, strict=True)]
     kept = _select_consistent([(offset, np.array(places)) for offset, places in found if places is not None])
     if len(kept) < max(6, count // 3):
         return None
     groups: tuple[list[FloatArray], list[FloatArray]] = ([], [])
     for offset, places in kept:
-        points = origin + along[0] * axis + (places[:, None] * STEP_PX) * axis + offset * side
+        points = origin + along[0] * axis + (places[:, None] * PROFILE.step_px) * axis + offset * side
         groups[0].append(points[:2])
         groups[1].append(points[2:])
     return _fit_path_ends(groups, longer)
@@ -149,7 +145,7 @@ def _select_consistent(found: list[tuple[float, FloatArray]]) -> list[tuple[floa
     """Without the profiles whose features lie another path apart than most: a feature was mistaken there."""
     if not found:
         return []
-    lengths = np.array([(places[2] - places[0], places[3] - places[1]) for _, places in found]) * STEP_PX
+    lengths = np.array([(places[2] - places[0], places[3] - places[1]) for _, places in found]) * PROFILE.step_px
     off = np.abs(lengths - np.median(lengths)).max(axis=1)
     limit = max(3.0 * 1.4826 * float(np.median(off)), 1.0)
     return [one for one, far in zip(found, off, strict=True) if far <= limit]
@@ -168,7 +164,7 @@ def _find_features(
     if profile.max() <= 0.02:
         return None
     up, down = _strong_peaks(slope), _strong_peaks(-slope)
-    if profile.max() >= CORE_DARKNESS:
+    if profile.max() >= PROFILE.core_darkness:
         core = int(np.argmax(profile))
         up, down = [k for k in up if k < core], [k for k in down if k > core]
     else:

@@ -1,8 +1,8 @@
-"""The sensor's channels as separate lattices, and the frequencies at which a patch is modelled.
+"""The sensor's channels as separate colour planes, and the frequencies at which a patch is modelled.
 
-A Bayer patch is four lattices of period two; a grey one a single lattice of period one. A model spectrum known in
-closed form is sampled on the patch's frequencies (up to and beyond the Nyquist frequency) and folded on to each
-lattice, so that one small inverse FFT a lattice gives the model exactly at that channel's own pixels.
+A Bayer patch is four colour planes of period two; a grey one a single colour plane of period one. A model spectrum
+known in closed form is sampled on the patch's frequencies (up to and beyond the Nyquist frequency) and folded on to
+each colour plane, so that one small inverse FFT a colour plane gives the model exactly at that channel's own pixels.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from labdaemon.errors import DataError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourPlanes:
-    """A patch split into its channels' lattices.
+    """A patch split into its channels' colour planes.
 
     Attributes
     ----------
     values, valid
-        (n, h, w), n lattices; padded with invalid pixels where a lattice is one short.
+        (n, h, w), n colour planes; padded with invalid pixels where a colour plane is one short.
     channel
-        (n,) the channel of each lattice.
+        (n,) the channel of each colour plane.
     offset_px
-        (n, 2) x and y of each lattice's first pixel in the patch.
+        (n, 2) x and y of each colour plane's first pixel in the patch.
     period
-        Distance of neighbours on a lattice, px.
+        Distance of neighbours on a colour plane, px.
     origin_px
         (x, y) of the patch in its frame.
     """
@@ -46,7 +46,7 @@ class ColourPlanes:
 
 
 def make_planes(patch: Patch) -> ColourPlanes:
-    """Split a patch into its channels' lattices.
+    """Split a patch into its channels' colour planes.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class FrequencyGrid:
     fx, fy
         (rows, columns) cycles a pixel; the columns hold the non-negative half.
     size
-        (height, width) in pixels of the periodic patch; even multiples of the lattice period.
+        (height, width) in pixels of the periodic patch; even multiples of the colour plane period.
     oversampling
         1: up to the Nyquist frequency; 2: twice that, for lenses sharper than the pixels.
     """
@@ -116,14 +116,14 @@ def _grid(size: tuple[int, int], oversampling: int) -> FrequencyGrid:
 
 
 def sample_plane(spectrum: Any, grid: FrequencyGrid, period: int) -> FloatArray:
-    """Model values on a lattice from spectra on the grid.
+    """Model values on a colour plane from spectra on the grid.
 
     Parameters
     ----------
     spectrum
-        (..., rows, columns) continuous Fourier transforms (px²), already shifted to the lattice's first pixel.
+        (..., rows, columns) continuous Fourier transforms (px²), already shifted to the colour plane's first pixel.
     period
-        Lattice period, px.
+        Colour plane period, px.
 
     Returns
     -------
@@ -152,14 +152,14 @@ def sample_plane(spectrum: Any, grid: FrequencyGrid, period: int) -> FloatArray:
     return result
 
 
-def split_planes(planes: ColourPlanes, pictures: NDArray[Any]) -> NDArray[Any]:
-    """(..., n, h, w) lattices of (..., H, W) pictures of one frame: the inverse of `merge_planes`."""
+def split_planes(planes: ColourPlanes, images: NDArray[Any]) -> NDArray[Any]:
+    """(..., n, h, w) colour planes of (..., H, W) images of one frame: the inverse of `merge_planes`."""
     step = planes.period
-    return np.stack([pictures[..., int(oy) :: step, int(ox) :: step] for ox, oy in planes.offset_px], axis=-3)
+    return np.stack([images[..., int(oy) :: step, int(ox) :: step] for ox, oy in planes.offset_px], axis=-3)
 
 
 def merge_planes(planes: ColourPlanes, values: FloatArray) -> FloatArray:
-    """(..., n, h, w) lattices back into (..., H, W) pictures; frames stacked in one `ColourPlanes` lie side by side."""
+    """(..., H, W) images of (..., n, h, w) colour planes; frames stacked in one `ColourPlanes` lie side by side."""
     step = planes.period
     count = step * step
     *lead, n, height, width = values.shape

@@ -1,4 +1,4 @@
-"""The light on a patch: a plane of brightness and a contrast for each channel's lattice.
+"""The light on a patch: a plane of brightness and a contrast for each channel's colour plane.
 
 A pixel of channel c is L_c(x)·(1 − k_c·m(x; p)) with L_c = w0 + w1·x + w2·y (white and light gradient), k_c the
 contrast of ink against paper and m the modelled darkness.
@@ -53,7 +53,7 @@ def paper_level(planes: ColourPlanes, light: FloatArray, dtype: Any = np.float64
 
 
 def ridge_matrix(normal: FloatArray, part: float) -> FloatArray:
-    """A little on the diagonals, so that a lattice without a valid pixel does no harm."""
+    """A little on the diagonals, so that a colour plane without a valid pixel does no harm."""
     trace = np.einsum("nii->n", normal)
     result = np.zeros(normal.shape)
     np.einsum("nii->ni", result)[:] = np.where(trace > 0, part * trace, 1.0)[:, None]
@@ -77,7 +77,7 @@ def _relative_reflectance(light: FloatArray, dark: FloatArray) -> FloatArray:
 def illumination_derivatives(
     planes: ColourPlanes, light: FloatArray, dark: FloatArray, by_p: FloatArray, residual: FloatArray | None = None
 ) -> FloatArray:
-    """(n, k + 4, h, w) derivatives of the values by the parameters and each lattice's own light; last the residual."""
+    """(n, k + 4, h, w) derivatives of the values by the parameters and each plane's illumination; last the residual."""
     u, v = illumination_coordinates(planes)
     k, dtype = len(by_p), by_p.dtype
     columns = np.empty((len(light), k + 4 + (residual is not None), *dark.shape[1:]), dtype=dtype)

@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
-
-COARSE_PLANE_PIXELS = 1500
-"""Pixels of which a quarter is enough to find the plane of light."""
-
-COARSE_SEARCH_AREA_PX2 = 200.0
-"""Area of dots that can be found at half the resolution."""
+from labdaemon.blur.settings import LOCATE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +53,7 @@ def darkness_map(patch: Patch, contrast: dict[int, float] | None = None) -> Floa
         1 − ink/white of each channel where known; else the darkest hundredth counts as ink.
     """
     dark, finite = _relative_darkness(patch, contrast)
-    return _subtract_light_plane(dark, finite, COARSE_PLANE_PIXELS)
+    return _subtract_light_plane(dark, finite, LOCATE.coarse_plane_pixels)
 
 
 def _relative_darkness(patch: Patch, contrast: dict[int, float] | None) -> tuple[FloatArray, BoolArray]:
@@ -85,7 +80,7 @@ Part = tuple[slice, slice] | BoolArray
 
 
 def _channel_parts(channel: NDArray[np.uint8]) -> list[tuple[int, Part]]:
-    """Which pixels belong to each channel: the lattices of a mosaic of period two, or whatever there is."""
+    """Which pixels belong to each channel: the colour planes of a mosaic of period two, or whatever there is."""
     if np.array_equal(channel[2:], channel[:-2]) and np.array_equal(channel[:, 2:], channel[:, :-2]):
         first = channel[:2, :2]
         return [(int(first[y, x]), np.s_[y::2, x::2]) for y in range(first.shape[0]) for x in range(first.shape[1])]
@@ -128,7 +123,7 @@ def _subtract_light_plane(dark: FloatArray, finite: BoolArray, many: int) -> Flo
 
 
 def _bin_pixels(dark: FloatArray, finite: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Squares of four pixels as one, without an odd last row or column."""
+    """Squares of four pixels as one; a last single row or column is left out."""
     height, width = dark.shape[0] // 2 * 2, dark.shape[1] // 2 * 2
     corners = [np.s_[y:height:2, x:width:2] for y in (0, 1) for x in (0, 1)]
     count, total = np.zeros((2, height // 2, width // 2))
@@ -160,11 +155,11 @@ def find_blob(
         Darkness that counts; None takes what stands out of the noise.
     """
     dark, finite = _relative_darkness(patch, contrast)
-    coarse = contrast is not None and threshold is None and area_px2 > COARSE_SEARCH_AREA_PX2
+    coarse = contrast is not None and threshold is None and area_px2 > LOCATE.coarse_search_area_px2
     scale = 2 if coarse else 1
     if coarse:
         dark, finite = _bin_pixels(dark, finite)
-    dark = _subtract_light_plane(dark, finite, COARSE_PLANE_PIXELS // scale)
+    dark = _subtract_light_plane(dark, finite, LOCATE.coarse_plane_pixels // scale)
     smooth = ndimage.uniform_filter(dark, 5 if min(dark.shape) > 12 and not coarse else 3, mode="nearest")
     if threshold is None:
         noise = 1.48 * _quantile(np.abs(smooth - _quantile(smooth.ravel(), 0.5)).ravel(), 0.5)

@@ -1,4 +1,4 @@
-"""Noise models from the pictures themselves."""
+"""Noise models from the images themselves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labdaemon.blur.patch.pixels import FloatArray, NoiseModel, Patch
 
 
 def _second_differences(values: FloatArray, valid: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Noise of each pixel by the mixed second difference, which a smooth picture does not reach."""
+    """Noise of each pixel by the mixed second difference, which a smooth image does not reach."""
     kernel = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0
     noise = ndimage.convolve(values, kernel, mode="nearest")
     good = ndimage.minimum_filter(valid, 3, mode="constant", cval=0)
@@ -21,10 +21,11 @@ def _second_differences(values: FloatArray, valid: FloatArray) -> tuple[FloatArr
 
 
 def estimate_noise(patches: Sequence[Patch]) -> NoiseModel:
-    """Read noise and photon gain from patches of one frame, dark and bright parts alike.
+    """Read noise and photon gain from patches of one frame, in dark and in bright parts.
 
-    The local noise (mixed second differences on each colour's own lattice; robust to edges, blind to anything smooth)
-    is regressed on the local signal. What is correlated from pixel to pixel, the paper's texture, hardly shows in it.
+    The local noise (mixed second differences on each colour's own colour plane; robust to edges, blind to anything
+    smooth) is regressed on the local signal. What is correlated from pixel to pixel, the paper's texture, hardly shows
+    in it.
 
     Parameters
     ----------

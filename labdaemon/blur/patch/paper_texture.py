@@ -1,4 +1,4 @@
-"""Noise and paper grain as the residuals of a fit show them."""
+"""Noise and paper texture as the residuals of a fit show them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ LENGTHS_PX = np.geomspace(0.5, 4.0, 19)
 def estimate_residual_noise(
     planes: ColourPlanes, residual: FloatArray, signal: FloatArray, valid: FloatArray, frames: int
 ) -> NoiseModel:
-    """Read noise, photon gain and paper grain from what a fit leaves over.
+    """Read noise, photon gain and paper texture from what a fit leaves over.
 
-    Read and photon noise differ from pixel to pixel, so whatever neighbours have in common is the paper's grain. Its
+    Read and photon noise differ from pixel to pixel, so whatever neighbours have in common is the paper texture. Its
     strength and length come from the covariance at distances of one to four pixels; what it does not explain of the
     variance is read noise and photon gain.
 
@@ -37,15 +37,15 @@ def estimate_residual_noise(
     left, level, good = (merge_planes(planes, v) for v in (residual, signal, valid))
     good = (good > 0).astype(np.float64)
     left = left * good
-    grain, length = estimate_texture(left, level * good, good)
-    square, s = left[good > 0] ** 2 - (grain * level[good > 0]) ** 2, level[good > 0]
+    strength, length = estimate_texture(left, level * good, good)
+    square, s = left[good > 0] ** 2 - (strength * level[good > 0]) ** 2, level[good > 0]
     # Two clusters, ink and paper: a straight line through their means, weighted by how well each is known.
     read2, gain = _fit_variance_line(s, square)
-    return NoiseModel(float(np.sqrt(max(read2 * frames, 1e-6))), float(gain * frames), grain, length)
+    return NoiseModel(float(np.sqrt(max(read2 * frames, 1e-6))), float(gain * frames), strength, length)
 
 
 def estimate_texture(left: FloatArray, level: FloatArray, good: FloatArray) -> tuple[float, float]:
-    """Relative strength and length of the grain by the covariance at several distances; 0 where it does not show."""
+    """Relative strength and length of the paper texture by the covariance at several distances; 0 without evidence."""
     distances, values, sds = [], [], []
     height, width = left.shape
     for dy, dx in LAGS:

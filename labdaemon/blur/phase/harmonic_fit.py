@@ -9,15 +9,9 @@ import numpy as np
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile, profile_phase
 from labdaemon.blur.phase.orbit_phase import condition_on_phase, marginalise_orbit_phase
-from labdaemon.blur.phase.orbits import DISTINCT_DISTANCE2, estimate_minor_axis, perpendicular, solve_orbit
-from labdaemon.blur.phase.posterior import (
-    BARRIER_COST,
-    RIVAL_COST,
-    InPhaseMotion,
-    in_phase_vectors,
-    is_bimodal,
-    marginalise_phase,
-)
+from labdaemon.blur.phase.orbits import estimate_minor_axis, perpendicular, solve_orbit
+from labdaemon.blur.phase.posterior import InPhaseMotion, in_phase_vectors, is_bimodal, marginalise_phase
+from labdaemon.blur.settings import PHASE, UNCERTAINTY
 from labdaemon.blur.smear.frame_set import (
     FRAME_PARAMETERS,
     FrameSet,
@@ -25,11 +19,8 @@ from labdaemon.blur.smear.frame_set import (
     window_in_phase_transfer,
     window_orbit_transfer,
 )
-from labdaemon.blur.smear.uncertainty import REST_SIGMAS, robust_covariance
+from labdaemon.blur.smear.uncertainty import robust_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
-
-EQUAL_COST = 2.0  # difference of squared residuals up to which an image in time is as good, whatever the deviations
-MAX_PHASE_SD_RAD = 0.1  # deviation of an orbit's phase from which all phases are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,13 +37,13 @@ class HarmonicFit:
     solution
         The fit behind it.
     profile
-        The standing motion that fits best.
+        The in-phase motion that fits best.
     in_phase
-        The standing motion that a and b are; None where they are an orbit's.
+        The in-phase motion that a and b are; None where they are an orbit's.
     fixed_phase_covariance
         (6, 6) of an orbit's value with its phase held.
     minor_axis_variance_px2
-        Mean square of a minor axis that a standing motion may have.
+        Mean square of a minor axis that an in-phase motion may have.
     phase_unresolved
         Whether the phase hardly shows.
     ambiguous
@@ -76,13 +67,13 @@ class HarmonicFit:
 
     @property
     def at_rest(self) -> bool:
-        """Whether it cannot be told from rest: an amplitude shows by its square."""
+        """Whether the motion is within the detection limit: an amplitude shows by its square."""
         limit = float(np.hypot(2 * self.size_px * self.sd_size_px, self.anisotropy_px2))
-        return self.size_px**2 < REST_SIGMAS * limit
+        return self.size_px**2 < UNCERTAINTY.rest_sds * limit
 
 
 def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
-    """Fit a standing motion, and an orbit where its minor axis shows.
+    """Fit an in-phase motion, and an orbit where its minor axis shows.
 
     Parameters
     ----------
@@ -96,7 +87,7 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
     minor = estimate_minor_axis(frame_set, profile)
     one_sided = max(blur.anisotropy_px2 for blur in frame_set.blurs)
     unsure = float(np.hypot(minor.sd_square_px2, one_sided))
-    if orbit and minor.square_px2 > REST_SIGMAS * unsure:
+    if orbit and minor.square_px2 > UNCERTAINTY.rest_sds * unsure:
         best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
         covariance = robust_covariance(frame_set.sharp, best, frame_set.planes)
         covariance = covariance + timing_covariance(best, frame_set, window_orbit_transfer)
@@ -105,10 +96,11 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
         held = condition_on_phase(value, covariance)
         size, sd = _vector_length(value[2:], held[2:, 2:])
         phase_unresolved, alone = False, len(frame_set.windows) == 1
-        # A single frame has its image in time. The other sense of turning is in the deviations instead of a flag.
+        # A single frame always has its time-reversed solution. The other direction of rotation needs no flag: the
+        # covariance includes it.
         linear = covariance
-        near = other is not None and _cost_excess(best, other) < RIVAL_COST
-        if not alone and (near or _sd_phase(value, covariance) > MAX_PHASE_SD_RAD):
+        near = other is not None and _cost_excess(best, other) < PHASE.rival_cost
+        if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):
             covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
         ambiguous = alone
         if time_reversed is not None:
@@ -151,14 +143,14 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
 
 
 def _cost_excess(best: Solution, other: Solution) -> float:
-    """By how many squared deviations another solution fits less well."""
+    """By how many squared standard deviations another solution fits less well."""
     return (other.cost - best.cost) / max(best.chi2, 1.0)
 
 
 def _is_ambiguous(
     worse: float, away: FloatArray, linear: FloatArray, vectors: FloatArray, covariance: FloatArray
 ) -> bool:
-    """Whether an image in time fits as well, from a valley of its own, and the deviations do not say so.
+    """Whether an image in time fits as well, from a valley of its own, and the standard deviations do not say so.
 
     Parameters
     ----------
@@ -170,9 +162,9 @@ def _is_ambiguous(
     vectors, covariance
         From one to the other as x, y, a, b, and the covariance that is reported.
     """
-    if worse > RIVAL_COST or _mahalanobis2(away, linear) < 4 * BARRIER_COST:
+    if worse > PHASE.rival_cost or _mahalanobis2(away, linear) < 4 * PHASE.barrier_cost:
         return False
-    return worse < EQUAL_COST or _mahalanobis2(vectors, covariance) > DISTINCT_DISTANCE2
+    return worse < PHASE.equal_cost or _mahalanobis2(vectors, covariance) > PHASE.distinct_distance2
 
 
 def _mahalanobis2(away: FloatArray, covariance: FloatArray) -> float:
@@ -181,7 +173,7 @@ def _mahalanobis2(away: FloatArray, covariance: FloatArray) -> float:
 
 
 def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
-    """Linear deviation of the common phase of a and b."""
+    """Linear standard deviation of the common phase of a and b."""
     by_phase = np.concatenate((-value[4:], value[2:4]))
     return float(
         np.sqrt(max(float(by_phase @ covariance[2:, 2:] @ by_phase), 0.0)) / max(float(by_phase @ by_phase), 1e-12)
@@ -189,7 +181,7 @@ def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
 
 
 def _vector_length(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Length of a vector and its deviation."""
+    """Length of a vector and its standard deviation."""
     size = float(np.linalg.norm(vector))
     along = vector / max(size, 1e-12)
     return size, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))

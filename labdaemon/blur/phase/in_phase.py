@@ -1,23 +1,23 @@
-"""Standing motion v·sin(ωt + ψ) through known windows: what its phase costs, and the best of it.
+"""In-phase motion v·sin(ωt + ψ) through known windows: what its phase costs, and the best of it.
 
-**What one exposure tells.** Let μ be the motion's phase at the middle of an exposure of Θ radians: the point stands at
-v·sin(μ + τ), |τ| ≤ Θ/2. A picture keeps no order of time, so τ and −τ are alike, and so are the four
+**What one exposure shows.** Let μ be the motion's phase at the middle of an exposure of Θ radians: the point stands at
+v·sin(μ + τ), |τ| ≤ Θ/2. An image keeps no order of time, so τ and −τ give the same image, and so do the four
 
     (v, μ),   (v, π − μ),   (−v, −μ),   (−v, π + μ),
 
-of which the last two are the first two written with the other sign. What a picture can tell is therefore the
+of which the last two are the first two written with the other sign. What an image shows is therefore the
 displacement at the middle of the exposure, m = v·sin μ, *with* its sign, and the change there, w = v·cos μ, but for its
-sign. An orbit is m cos τ + w sin τ likewise, known up to w → −w. The part that is odd in v, and shows the sign, is
+sign. An orbit is m cos τ + w sin τ likewise, known up to w → −w. The part that changes sign with v is
 
     −(4i/Θ) Σ J_k(2π f·v) sin(kμ) sin(kΘ/2)/k,   k = 1, 3, 5 …,
 
-whose k = 1 mostly shifts the picture and is lost to the free mean position. What is left at small amplitude is the
-skew, −(3 e₁ + e₃)/4·|v|³ with e_k = 2 sin(kμ) sin(kΘ/2)/(kΘ), in which sin μ and sin(Θ/2) are multiplied by a number
-that is never negative: no two values of sin μ look alike. Nothing is left over whole cycles (sin(Θ/2) = 0), or where
+whose k = 1 mostly shifts the image and is lost to the free mean position. What is left at small amplitude is the skew,
+−(3 e₁ + e₃)/4·|v|³ with e_k = 2 sin(kμ) sin(kΘ/2)/(kΘ), in which sin μ and sin(Θ/2) are multiplied by a number that is
+never negative: all values of sin μ are distinguishable. Nothing is left over whole cycles (sin(Θ/2) = 0), or where
 the motion is in its mean position at the middle of the exposure (sin μ = 0). The skew falls with the cube of the
 amplitude: far below a pixel no sign shows.
 
-**Hence signs.** Points of one standing motion share μ. Each alone shows on which side of its mean it stood at the
+**Hence signs.** Points of one in-phase motion share μ. Each alone shows on which side of its mean it stood at the
 middle of the exposure; two that stood on the sides of +v₁ and +v₂ move that way together.
 """
 
@@ -30,6 +30,7 @@ import numpy as np
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.time_reversal import differ, mid_exposure_phase, time_reversed_solutions, wrap_angle
+from labdaemon.blur.settings import PHASE
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.frame_set import (
     FRAME_PARAMETERS,
@@ -41,17 +42,10 @@ from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import window_nodes
 
-SINGLE_FRAME_PHASES = 9  # phases looked at over half a circle, of which the other half is the mirror image
-GROUP_PHASES = 16  # and over the whole circle, for several frames
-MIN_WINDOW_VARIANCE = 0.02  # of the course over a window: what shorter ones are taken for when the amplitude is guessed
-MIN_MOMENT_PX2 = 0.05
-FOLLOWED_MINIMA = 2  # local minima that are followed to their bottom
-MAX_EXTRA_COST = 60.0  # cost above the best from which they are not
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseProfile:
-    """What a standing motion costs at each phase.
+    """What an in-phase motion costs at each phase.
 
     Attributes
     ----------
@@ -95,7 +89,7 @@ class PhaseProfile:
 
 
 def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
-    """Fit a standing motion at phases all round, then the best of them to the end.
+    """Fit an in-phase motion at phases all round, then the best of them to the end.
 
     Parameters
     ----------
@@ -106,12 +100,12 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
     """
     periodic = len(frame_set.windows) > 1
     if periodic:
-        phases = 2 * np.pi * np.arange(GROUP_PHASES) / GROUP_PHASES
+        phases = 2 * np.pi * np.arange(PHASE.group_phases) / PHASE.group_phases
     else:
-        phases = np.linspace(-np.pi / 2, np.pi / 2, SINGLE_FRAME_PHASES) - mid_exposure_phase(frame_set)
+        phases = np.linspace(-np.pi / 2, np.pi / 2, PHASE.single_frame_phases) - mid_exposure_phase(frame_set)
     window_moments = [_window_moments(frame_set, float(phase)) for phase in phases]
     # The same smear is the more amplitude the less of the path the window saw.
-    stretch = np.array([1 / np.sqrt(2 * max(waveform[1], MIN_WINDOW_VARIANCE)) for waveform in window_moments])
+    stretch = np.array([1 / np.sqrt(2 * max(waveform[1], PHASE.min_window_variance)) for waveform in window_moments])
     first = len(phases) // 2
     fixed = frame_set.with_fixed_shape()
     vector = _initial_vector(fixed, moment_px2, float(phases[first])) * stretch[first]
@@ -173,7 +167,7 @@ def _at(
     light: FloatArray | None = None,
     weight: FloatArray | None = None,
 ) -> Solution:
-    """Standing motion at a held phase; with the weights given, so that costs can be compared."""
+    """In-phase motion at a held phase; with the weights given, so that costs can be compared."""
     model, prior = fixed.forward_model(window_fixed_phase_transfer(phase_rad), max_amplitude_px), fixed.prior(2)
     if weight is None:
         return solve(fixed.planes, fixed.weights, model, start, prior)
@@ -188,7 +182,7 @@ def _refine_minimum(
     cost = np.array([one.cost for one in solutions])
     padded = np.concatenate((cost[-1:], cost, cost[:1])) if periodic else np.pad(cost, 1, constant_values=np.inf)
     minima = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
-    minima = minima[np.argsort(cost[minima])][:FOLLOWED_MINIMA]
+    minima = minima[np.argsort(cost[minima])][: PHASE.followed_minima]
     model, prior = frame_set.forward_model(window_in_phase_transfer, max_amplitude_px), frame_set.prior(3)
 
     def bound(p: FloatArray) -> FloatArray:
@@ -199,11 +193,11 @@ def _refine_minimum(
 
     best: Solution | None = None
     for index in minima:
-        if cost[index] > cost[minima[0]] + MAX_EXTRA_COST:
+        if cost[index] > cost[minima[0]] + PHASE.max_extra_cost:
             break
         near, phase = solutions[index], float(phases[index])
         if not periodic and index in (0, len(phases) - 1):
-            # The picture depends on sin μ, of which the slope is nothing there: nothing would move.
+            # The image depends on sin μ, of which the slope is nothing there: nothing would move.
             phase += 0.4 * float(phases[abs(index - 1)] - phases[index])
         nuisance = FRAME_PARAMETERS * len(frame_set.problems)
         start = np.concatenate((near.p[:nuisance], np.zeros(frame_set.shape_count), near.p[-2:], [phase]))
@@ -240,7 +234,7 @@ def _initial_vector(fixed: FrameSet, moment_px2: FloatArray, phase_rad: float) -
     """The smear's major semi-axis; for a texture, which has no smear to be measured, the best of several."""
     if not isinstance(fixed.sharp.form, TexturedPatch):
         values, vectors = np.linalg.eigh(moment_px2)
-        result: FloatArray = np.sqrt(max(values[1], MIN_MOMENT_PX2)) * vectors[:, 1]
+        result: FloatArray = np.sqrt(max(values[1], PHASE.min_moment_px2)) * vectors[:, 1]
         return result
     tried = [
         size * np.array([np.cos(angle), np.sin(angle)])

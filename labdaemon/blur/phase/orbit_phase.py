@@ -1,4 +1,4 @@
-"""Orbits of which the phase or the sense of turning hardly shows: all phases and both senses by their chances.
+"""Orbits with a poorly determined phase or direction of rotation: all of them, weighted by their probability.
 
 The shape of a small orbit shows by its widening of the dot, its phase and sense only by the skew. What is reported is
 the best of them, with the covariance of all.
@@ -14,15 +14,14 @@ from scipy.interpolate import CubicSpline
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.phase.orbits import perpendicular, vectors_from_axes
-from labdaemon.blur.phase.posterior import LINEAR_PHASE_SD_RAD, PHASE_COUNT
+from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.forward_model import TransferFunction
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import quadrature_transfer
 
-PHASES_PER_ROTATION = PHASE_COUNT // 2  # phases of each sense over which the chances are summed
-MIN_PROBABILITY = 0.01  # chance of the other sense of turning below which the linear covariance holds
+PHASES_PER_ROTATION = PHASE.phase_count // 2  # phases of each sense over which the probabilities are summed
 
 
 def marginalise_orbit_phase(
@@ -33,7 +32,7 @@ def marginalise_orbit_phase(
     Parameters
     ----------
     profile
-        The standing motion that fits best.
+        The in-phase motion that fits best.
     best, value, covariance
         The orbit that fits best, its (6,) x, y, ax, ay, bx, by and their linear covariance.
 
@@ -64,8 +63,8 @@ def marginalise_orbit_phase(
     near = int(np.argmin(cost.min(axis=1)))
     own = probability[near] / probability[near].sum()
     size2 = float(value[2:] @ value[2:])
-    phase_unresolved = float(own @ np.sum(away[near, :, 2:] ** 2, axis=1)) > LINEAR_PHASE_SD_RAD**2 * size2
-    if not phase_unresolved and probability[1 - near].sum() < MIN_PROBABILITY:
+    phase_unresolved = float(own @ np.sum(away[near, :, 2:] ** 2, axis=1)) > PHASE.linear_phase_sd_rad**2 * size2
+    if not phase_unresolved and probability[1 - near].sum() < PHASE.min_probability:
         return covariance, False
     flat, weight = away.reshape(-1, 6), probability.reshape(-1)
     return condition_on_phase(value, covariance) + (weight * flat.T) @ flat, phase_unresolved

@@ -1,4 +1,4 @@
-"""Orbits through known windows: a and b by their vectors, from starts all round, in both senses of turning."""
+"""Orbits through known windows: a and b by their vectors, from starts all round, in both directions of rotation."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
-from labdaemon.blur.phase.in_phase import MIN_WINDOW_VARIANCE, PhaseProfile
+from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.phase.time_reversal import time_reversed_solutions
+from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.forward_model import TransferFunction
 from labdaemon.blur.smear.frame_set import FrameSet, window_orbit_transfer
 from labdaemon.blur.smear.uncertainty import robust_covariance
@@ -21,21 +22,15 @@ from labdaemon.blur.waveform import in_phase_transfer, quadrature_transfer, wind
 Weights = Callable[[FloatArray], FloatArray]
 """From modelled values to inverse variances."""
 
-FOLLOWED_STARTS = 4  # starts that are followed to their end
-MIN_MOMENT_PX2 = 0.02  # of the smear's moments when a and b are guessed
-DISTINCT_DISTANCE2 = (
-    16.0  # squared distance, in the best solution's own deviations, from which another is not the same one
-)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MinorAxis:
-    """What a fitted standing motion leaves to be said of a minor axis β n·cos(ωt + ψ), n a quarter turn from v.
+    """What a fitted in-phase motion leaves to be said of a minor axis β n·cos(ωt + ψ), n a quarter turn from v.
 
     Attributes
     ----------
     size_px, covariance
-        β as the odd part of the pictures has it, with its sign (the sense of turning).
+        β by the antisymmetric part of the images, with its sign (the direction of rotation).
     square_px2
         β² as their widening has it; analytic at rest, where β alone is not.
     covariance
@@ -48,7 +43,7 @@ class MinorAxis:
 
     @property
     def sd_square_px2(self) -> float:
-        """Deviation of β²."""
+        """Standard deviation of β²."""
         return float(np.sqrt(max(self.covariance[1, 1], 0.0)))
 
     def mean_square(self, amplitude_px: float) -> float:
@@ -65,7 +60,7 @@ class MinorAxis:
 
 
 def estimate_minor_axis(frame_set: FrameSet, profile: PhaseProfile) -> MinorAxis:
-    """One step from a standing motion that frees a minor axis and its square."""
+    """One step from an in-phase motion that frees a minor axis and its square."""
     at = np.concatenate((profile.best.p, np.zeros(2)))
     reach = 3.0 + 1.3 * float(np.hypot(*profile.vector))
     model, prior = frame_set.forward_model(_minor_axis_transfer, reach), frame_set.prior(5)
@@ -88,7 +83,7 @@ def solve_orbit(
     moment_px2
         (2, 2) aaᵀ + bbᵀ by the smear's moments.
     profile, minor_px
-        The standing motion that fits best, and the minor axis that it lacks.
+        The in-phase motion that fits best, and the minor axis that it lacks.
     """
     rotations = (1.0, -1.0) if len(frame_set.windows) > 1 else (1.0,)
     pairs = [pair for rotation in rotations for pair in _initial_orbits(frame_set, moment_px2, rotation)]
@@ -105,7 +100,7 @@ def solve_orbit(
 
     starts = initial(pairs)
     costs = [_rough_cost(frame_set, model(start)[0]) for start in starts]
-    solutions = solve_all([starts[index] for index in np.argsort(costs)[:FOLLOWED_STARTS]])
+    solutions = solve_all([starts[index] for index in np.argsort(costs)[: PHASE.followed_starts]])
     best = min(solutions, key=lambda x: x.cost)
     mirror: list[Solution] = []
     if len(rotations) > 1:
@@ -123,24 +118,27 @@ def _best_distinct(best: Solution, solutions: list[Solution]) -> Solution | None
     """The best of several that are not the best one again."""
     information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)
     away = [(x, x.p[-4:] - best.p[-4:]) for x in solutions]
-    others = [x for x, d in away if float(d @ information @ d) > DISTINCT_DISTANCE2]
+    others = [x for x, d in away if float(d @ information @ d) > PHASE.distinct_distance2]
     return min(others, key=lambda x: x.cost, default=None)
 
 
 def _initial_orbits(
     frame_set: FrameSet, moment_px2: FloatArray, rotation: float
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Vectors a and b, L = (a b), at eight phases, of which the picture has the smear's second moment.
+    """Vectors a and b, L = (a b), at eight phases, of which the image has the smear's second moment.
 
     With K the covariance of (sin ωt, cos ωt) over the window that moment is L K Lᵀ, so that L = S^½ R K^−½ with any
-    rotation R, or any reflection for the other sense of turning.
+    rotation R, or any reflection for the other direction of rotation.
     """
     moment = np.zeros((2, 2))
     for window in frame_set.windows:
         basis, weight = window_nodes(window, 3.0)
         away = basis - (basis @ weight)[:, None]
         moment += (weight * away) @ away.T / len(frame_set.windows)
-    inverse, root = _matrix_power(moment, -0.5, MIN_WINDOW_VARIANCE), _matrix_power(moment_px2 / 2, 0.5, MIN_MOMENT_PX2)
+    inverse, root = (
+        _matrix_power(moment, -0.5, PHASE.min_window_variance),
+        _matrix_power(moment_px2 / 2, 0.5, PHASE.min_orbit_moment_px2),
+    )
     pairs = []
     for psi in np.arange(8) * np.pi / 4:
         c, s = np.cos(psi), np.sin(psi)

@@ -1,4 +1,4 @@
-"""What is known of a standing motion once its phase has been tried all round: each phase by its chance.
+"""What is known of an in-phase motion once its phase has been tried all round: each phase weighted by its probability.
 
 Where the phase shows well the linear covariance of the fit holds. Where it hardly does (far below a pixel) the phase
 may be anywhere along a valley, and the covariance is that of all of it.
@@ -13,16 +13,12 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
-
-LINEAR_PHASE_SD_RAD = 0.12  # deviation of the phase up to which the linear covariance holds
-PHASE_COUNT = 256  # phases over which the chances are summed
-RIVAL_COST = 9.0  # difference of squared residuals below which another solution may be the true one
-BARRIER_COST = 16.0  # and the height between two of them from which they are two
+from labdaemon.blur.settings import PHASE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPhaseMotion:
-    """A standing motion v·sin(ωt + ψ).
+    """An in-phase motion v·sin(ωt + ψ).
 
     Attributes
     ----------
@@ -54,12 +50,12 @@ def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArr
     phases, probability, others = phase_posterior(profile)
     value = in_phase_vectors(p[None])[0]
     scatter = 2 * float(probability @ (1 - np.cos(phases - p[4])))
-    if max(covariance[4, 4], scatter) < LINEAR_PHASE_SD_RAD**2:
+    if max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2:
         c, s, v = np.cos(p[4]), np.sin(p[4]), p[2:4]
         jacobian = np.zeros((6, 5))
         jacobian[:, :4] = _vector_jacobian(p[4])
         jacobian[2:, 4] = np.concatenate((-s * v, c * v))
-        # The circle of phases leaves its tangent by half the square of the phase's deviation: less than the
+        # The circle of phases leaves its tangent by half the square of the phase's standard deviation: less than the
         # amplitude's own, or the tangents of two cameras would seem to cross at one phase.
         along = v / max(float(np.hypot(*v)), 1e-12)
         part = float(np.sqrt(along @ covariance[2:4, 2:4] @ along)) / max(float(np.hypot(*v)), 1e-12)
@@ -93,15 +89,15 @@ def in_phase_vectors(in_phase: FloatArray) -> FloatArray:
 
 
 def phase_posterior(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(m,) phases finely, (m,) the chance of each, which sum to 1, and (m, 5) x, y, vx, vy, ψ there."""
+    """(m,) phases finely, (m,) the probability of each, which sum to 1, and (m, 5) x, y, vx, vy, ψ there."""
     at, table = profile.phase_rad, np.column_stack((profile.cost, profile.centre_px, profile.vector_px))
     if profile.periodic:
         at, table = np.append(at, at[0] + 2 * np.pi), np.vstack((table, table[:1]))
-        phases = np.linspace(at[0], at[-1], PHASE_COUNT + 1)[:-1]
+        phases = np.linspace(at[0], at[-1], PHASE.phase_count + 1)[:-1]
         values = CubicSpline(at, table, bc_type="periodic")(phases)
     else:
-        # Over the sine of the phase at the middle of the exposure, which is all that the picture depends on.
-        phases = np.linspace(at[0], at[-1], PHASE_COUNT)
+        # Over the sine of the phase at the middle of the exposure, which is all that the image depends on.
+        phases = np.linspace(at[0], at[-1], PHASE.phase_count)
         middle = (at[0] + at[-1]) / 2
         sines = np.sin(at - middle)
         values = PchipInterpolator(sines, table)(np.clip(np.sin(phases - middle), sines[0], sines[-1]))
@@ -112,14 +108,14 @@ def phase_posterior(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, Floa
 def is_bimodal(profile: PhaseProfile) -> bool:
     """Whether two phases with a height between them cost the same; a profile that is low all round has but one.
 
-    A single frame's phase has its mirror image in time, which is another unless both are within its deviation.
+    A single frame's phase has its mirror image in time, which is another unless both are within its standard deviation.
     """
     if not profile.periodic:
         middle = (profile.phase_rad[0] + profile.phase_rad[-1]) / 2
-        return bool(np.pi - 2 * abs(profile.phase - middle) > 3 * min(profile.sd_phase, LINEAR_PHASE_SD_RAD))
+        return bool(np.pi - 2 * abs(profile.phase - middle) > 3 * min(profile.sd_phase, PHASE.linear_phase_sd_rad))
     scale = max(profile.best.chi2, 1.0)
     cost = (profile.cost - profile.cost.min()) / scale
     cost = np.roll(cost, -int(np.argmin(cost)))
     # Highest place on either way round from the lowest to each.
     wall = np.minimum(np.maximum.accumulate(cost), np.maximum.accumulate(cost[::-1])[::-1])
-    return bool(np.any((cost < RIVAL_COST) & (wall > BARRIER_COST)))
+    return bool(np.any((cost < PHASE.rival_cost) & (wall > PHASE.barrier_cost)))

@@ -1,10 +1,11 @@
 """Which way the targets of a frame move against each other, from a single exposure that is no whole cycles.
 
-Such an exposure shows of a standing motion on which side of its mean a point stood at the middle of the exposure
+Such an exposure shows of an in-phase motion on which side of its mean a point stood at the middle of the exposure
 (`labdaemon.blur.phase.in_phase` has the mathematics). All points of one mode share the phase μ there, so that those on
-the sides of +v₁ and +v₂ move that way together. Of the phase itself only sin μ ≥ 0 is seen: μ and π − μ look alike.
-A target is given a sign where the phase that most of them share explains its picture, and the same phase with the other
-sign does not. Orbits, targets at another phase and those too small for a sign to show are given none.
+the sides of +v₁ and +v₂ move that way together. Of the phase itself only sin μ ≥ 0 is seen: μ and π − μ are
+indistinguishable. A target is given a sign where the phase that most of them share explains its image, and the same
+phase with the other sign does not. Orbits, targets at another phase and those too small for a sign to show are given
+none.
 """
 
 from __future__ import annotations
@@ -22,20 +23,14 @@ from labdaemon.blur.phase.harmonic_fit import smear_moment
 from labdaemon.blur.phase.in_phase import profile_phase
 from labdaemon.blur.phase.orbits import estimate_minor_axis
 from labdaemon.blur.phase.time_reversal import mid_exposure_phase, wrap_angle
+from labdaemon.blur.settings import SIGNS, UNCERTAINTY
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import prepare_fit
 from labdaemon.blur.smear.frame_set import FrameSet
-from labdaemon.blur.smear.uncertainty import POOR_CHI2, REST_SIGMAS
 
-PHASE_SPREADS_RAD = np.radians((1.0, 2.0, 4.0))
-"""How far from the common phase the targets of a nearly standing motion may be: standard deviations to choose from."""
-OUTLIER_SHARE = 0.1
-"""Part of the targets that may be at any phase."""
-COMMON_PHASE_SHARE = 0.75
-"""Part of the targets with a phase of their own that must be at the common one for there to be one."""
-LOG_ODDS_LIMIT = 2 * np.log(100.0)
-"""Twice the logarithm of the odds from which a sign is stated."""
+PHASE_SPREADS_RAD = np.radians(SIGNS.phase_spreads_deg)
+"""How far from the common phase the targets of a nearly in-phase motion may be: standard deviations to choose from."""
 
 _MIDDLE = 180
 _GRID = np.radians(np.linspace(-90.0, 90.0, 2 * _MIDDLE + 1))
@@ -43,12 +38,12 @@ _GRID = np.radians(np.linspace(-90.0, 90.0, 2 * _MIDDLE + 1))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseLikelihood:
-    """What one target's picture says of its phase.
+    """What one target's image says of its phase.
 
     Attributes
     ----------
     vector_px
-        (2,) v of the standing motion v·sin μ that fits best, its largest component positive.
+        (2,) v of the in-phase motion v·sin μ that fits best, its largest component positive.
     cost
         (361,) what μ = −90° … 90° at the middle of the exposure costs, less the least.
     is_orbit
@@ -67,14 +62,14 @@ class RelativeSigns:
     Attributes
     ----------
     vector_px
-        (n, 2) v of each target's standing motion; where its sign is known, on the side on which the target stood at
+        (n, 2) v of each target's in-phase motion; where its sign is known, on the side on which the target stood at
         the middle of the exposure, else with the largest component positive. NaN where not measured.
     sign
         (n,) 1 or −1 to the v whose largest component is positive; 0 where unknown.
     evidence
         (n,) twice the logarithm of the odds of sign 1 against −1; 0 where the target is not at the common phase.
     mid_exposure_phase_rad, sd_mid_exposure_phase_rad
-        Common phase μ at the middle of the exposure, 0 … π/2, π − μ looking alike; NaN where no phase is common.
+        Common phase μ at the middle of the exposure, 0 … π/2 (π − μ gives the same image); NaN without a common phase.
     phase_rad
         The two phases ψ of v·sin(ωt + ψ), ωt the excitation's, that μ and π − μ stand for; empty without the opening
         phase or a common one.
@@ -122,7 +117,7 @@ def find_relative_signs(
 
 def decide_sign(evidence: float) -> int:
     """The sign that some evidence stands for: 1, −1, or 0 where it does not suffice."""
-    return int(np.sign(evidence)) if abs(evidence) > LOG_ODDS_LIMIT else 0
+    return int(np.sign(evidence)) if abs(evidence) > SIGNS.log_odds_limit else 0
 
 
 def phase_likelihood(
@@ -132,7 +127,7 @@ def phase_likelihood(
     defocus: Defocus | None = None,
     initial_guess: InitialGuess | None = None,
 ) -> PhaseLikelihood | None:
-    """What a target's picture says of its phase; None where it cannot be measured."""
+    """What a target's image says of its phase; None where it cannot be measured."""
     if not sharp.usable:
         return None
     expected = np.asarray(initial_guess.centre_px if initial_guess is not None else sharp.centre_px, dtype=np.float64)
@@ -143,10 +138,10 @@ def phase_likelihood(
     frame_set = FrameSet.from_problems(there, [problem], [window], [defocus or default_defocus(sharp)])
     profile = profile_phase(frame_set, smear_moment(frame_set))
     scale = max(profile.best.chi2, 1.0)
-    if scale > POOR_CHI2 and sharp.noise_known:
+    if scale > UNCERTAINTY.poor_chi2 and sharp.noise_known:
         return None
     minor = estimate_minor_axis(frame_set, profile)
-    curved = minor.square_px2 > REST_SIGMAS * np.hypot(minor.sd_square_px2, frame_set.blurs[0].anisotropy_px2)
+    curved = minor.square_px2 > UNCERTAINTY.rest_sds * np.hypot(minor.sd_square_px2, frame_set.blurs[0].anisotropy_px2)
     at = np.sin(profile.phase_rad + mid_exposure_phase(frame_set))
     cost = PchipInterpolator(at, profile.cost)(np.clip(np.sin(_GRID), at[0], at[-1])) / scale
     vector = orient_positive(profile.vector)
@@ -168,20 +163,20 @@ def combine_likelihoods(likelihoods: Sequence[PhaseLikelihood | None], window: E
         return nothing
     density = np.array([np.exp(-likelihood.cost / 2) for i in used if (likelihood := likelihoods[i]) is not None])
     density *= (len(_GRID) / density.sum(axis=1))[:, None]  # 1 everywhere where nothing shows
-    # (spreads, targets, μ = 0 … 90°) for either sign; then the chance of each spread and μ.
+    # (spreads, targets, μ = 0 … 90°) for either sign; then the probability of each spread and μ.
     near = np.stack([density @ _phase_kernel(float(sd)) for sd in PHASE_SPREADS_RAD])
     plus, minus = near[:, :, _MIDDLE:], near[:, :, _MIDDLE::-1]
-    at_phase = (1 - OUTLIER_SHARE) * (plus + minus) / 2
-    probability = np.sum(np.log(at_phase + OUTLIER_SHARE), axis=1)
+    at_phase = (1 - SIGNS.outlier_share) * (plus + minus) / 2
+    probability = np.sum(np.log(at_phase + SIGNS.outlier_share), axis=1)
     probability = np.exp(probability - probability.max())
     probability /= probability.sum()
-    belongs = np.einsum("sm,stm->t", probability, at_phase / (at_phase + OUTLIER_SHARE))
+    belongs = np.einsum("sm,stm->t", probability, at_phase / (at_phase + SIGNS.outlier_share))
     # Those whose own phase shows could have contradicted.
-    could = np.min(plus[0] + minus[0], axis=1) < OUTLIER_SHARE
-    if np.any(could) and np.mean(belongs[could]) < COMMON_PHASE_SHARE:
+    could = np.min(plus[0] + minus[0], axis=1) < SIGNS.outlier_share
+    if np.any(could) and np.mean(belongs[could]) < SIGNS.common_phase_share:
         return nothing
-    odds = np.log(np.einsum("sm,stm->t", probability, plus / (at_phase + OUTLIER_SHARE)) + 1e-300)
-    odds -= np.log(np.einsum("sm,stm->t", probability, minus / (at_phase + OUTLIER_SHARE)) + 1e-300)
+    odds = np.log(np.einsum("sm,stm->t", probability, plus / (at_phase + SIGNS.outlier_share)) + 1e-300)
+    odds -= np.log(np.einsum("sm,stm->t", probability, minus / (at_phase + SIGNS.outlier_share)) + 1e-300)
     evidence[used] = np.where(belongs > 0.5, 2 * odds, 0.0)
     signs = np.array([float(decide_sign(one)) for one in evidence])
     vectors[signs < 0] *= -1

@@ -1,9 +1,9 @@
-"""A steady motion run through the other way: what frames of one part of the cycle cannot tell from it.
+"""Time-reversed solutions: frames of one part of the cycle do not separate a motion from its time reversal.
 
-A picture keeps no order of time. Run backwards from the middle of an exposure, the same path leaves the same smear:
+An image keeps no order of time. Run backwards from the middle of an exposure, the same path leaves the same smear:
 with μ the excitation's phase there, M = a·sin μ + b·cos μ the displacement and W = a·cos μ − b·sin μ the change,
 W → −W. Frames whose middles lie at the same phase, or half a cycle apart, all have the same image, and nothing but
-another phase tells which of the two it was.
+another phase decides between the two.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.frame_set import FrameSet
-
-SAME_MIDDLE_RAD = 0.05  # between middles, up to half a cycle, from which their images are tried each
-SAME_MOTION_FRACTION = 0.02  # of the motion's size by which another solution differs from it
 
 
 def mid_exposure_phase(frame_set: FrameSet, frame: int = 0) -> float:
@@ -35,7 +33,7 @@ def time_reversed_solutions(frame_set: FrameSet, a: FloatArray, b: FloatArray) -
     middles: list[float] = []
     for frame in range(len(frame_set.windows)):
         middle = mid_exposure_phase(frame_set, frame)
-        if all(abs(np.sin(middle - one)) > SAME_MIDDLE_RAD for one in middles):
+        if all(abs(np.sin(middle - one)) > PHASE.same_middle_rad for one in middles):
             middles.append(middle)
     pairs = [reverse_time(a, b, middle) for middle in middles]
     return [pair for pair in pairs if differ(a, b, *pair)]
@@ -49,4 +47,4 @@ def wrap_angle(angle_rad: float) -> float:
 def differ(a: FloatArray, b: FloatArray, other_a: FloatArray, other_b: FloatArray) -> bool:
     """Whether two motions differ by more than rounding and noise."""
     away = np.concatenate((other_a - a, other_b - b))
-    return float(np.linalg.norm(away)) > SAME_MOTION_FRACTION * float(np.linalg.norm(np.concatenate((a, b))))
+    return float(np.linalg.norm(away)) > PHASE.same_motion_fraction * float(np.linalg.norm(np.concatenate((a, b))))

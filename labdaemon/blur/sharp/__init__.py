@@ -1,1 +1,1 @@
-"""The target at rest: its shape or texture, the grain of its paper, and how much each of its pixels tells."""
+"""The target at rest: its shape or texture, the paper texture, and the weight of each pixel."""

@@ -13,9 +13,10 @@ from labdaemon.blur.patch.locate import Blob, find_blob, mask_pixels
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.paper_texture import estimate_residual_noise
 from labdaemon.blur.patch.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
+from labdaemon.blur.settings import SHARP_FIT, TEXTURE_MAP
 from labdaemon.blur.sharp.target import EllipseShape, LensPsf, SharpTarget
 from labdaemon.blur.sharp.template_residual import TemplateResidual, find_paper, find_template_residual
-from labdaemon.blur.sharp.texture_map import EDGE_MARGIN_PX, map_paper_texture
+from labdaemon.blur.sharp.texture_map import map_paper_texture
 from labdaemon.blur.sharp.weights import noise_weights
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
 from labdaemon.blur.solver.solve import DarknessModel, gauss_newton_step, solve
@@ -25,11 +26,6 @@ from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 COMMON_PARAMETERS = 6  # x, y, q0, q1, q2, blur variance, shared by all channels
-BLURRED_PX2, BLURRED_COST_FRACTION = 1.0, 0.35  # one-sided blur of a sharp frame, as a², and its part in the residuals
-MARGIN_PX = 16  # between a patch and its periodic images
-BLUR_TEST_CHI2 = 1.5  # from which a sharp frame is tested for smear; neighbours judge noise to a factor of two
-MIN_NOISE_FRACTION = 0.75  # of the noise between neighbours; less than this it does not get by taking grain off
-MAX_NOISE_CHI2 = 4.0  # of the fit against noise judged by neighbours, above which the residuals are not noise
 
 
 def average_patches(patches: Sequence[Patch]) -> tuple[Patch, int]:
@@ -80,7 +76,11 @@ def fit_sharp(dot: Dot, patches: Sequence[Patch], *, noise: NoiseModel | None = 
     """
     patch, count = average_patches(patches)
     found = _fit_once(dot, patches, patch, count, noise, full_patch=False)
-    if not found.usable or found.chi2 < MAX_NOISE_CHI2 or dot.paper_px - EDGE_MARGIN_PX > _half_extent(dot):
+    if (
+        not found.usable
+        or found.chi2 < SHARP_FIT.max_noise_chi2
+        or dot.paper_px - TEXTURE_MAP.edge_margin_px > _half_extent(dot)
+    ):
         return found
     # A rough label is known by all that shows of it, its edge included.
     return _fit_once(dot, patches, patch, count, noise, full_patch=True)
@@ -114,13 +114,13 @@ def _fit_once(
         return target
     radius = max(target.form.half_size_px)
     averaged = _noise_of_mean(used, count)
-    grain, seen = map_paper_texture(patch, planes, solution, target.centre_px, radius, dot.paper_px, averaged)
+    texture_map, seen = map_paper_texture(patch, planes, solution, target.centre_px, radius, dot.paper_px, averaged)
     texture = used.texture if noise is not None and noise.texture else seen.texture
-    return replace(target, paper=grain, noise=replace(used, texture=texture, texture_px=seen.texture_px))
+    return replace(target, texture_map=texture_map, noise=replace(used, texture=texture, texture_px=seen.texture_px))
 
 
 def _noise_of_mean(noise: NoiseModel, frames: int) -> NoiseModel:
-    """Noise of a mean of frames; the paper's grain is the same in all."""
+    """Noise of a mean of frames; the paper texture is the same in all."""
     return NoiseModel(noise.read_dn / np.sqrt(frames), noise.gain_dn / frames, noise.texture, noise.texture_px)
 
 
@@ -129,20 +129,20 @@ def _select_noise(
 ) -> tuple[NoiseModel, bool]:
     """The noise model for later fits, and whether it can be relied on.
 
-    The residuals of a dot that fits are noise and grain. They are not where the dot does not fit: where they are much
-    larger than what neighbouring pixels of one colour differ by, and not `texture_only`.
+    The residuals of a dot that fits are noise and paper texture. They are not where the dot does not fit: where they
+    are much larger than what neighbouring pixels of one colour differ by, and not `texture_only`.
     """
     left = np.where(solution.weight > 0, solution.residual / np.sqrt(np.maximum(solution.weight, 1e-300)), 0.0)
     found = estimate_residual_noise(planes, left, solution.signal, solution.weight, frames)
     if given:
         return NoiseModel(first.read_dn, first.gain_dn, first.texture or found.texture, found.texture_px), True
-    if solution.chi2 > MAX_NOISE_CHI2 and not texture_only:
+    if solution.chi2 > SHARP_FIT.max_noise_chi2 and not texture_only:
         return first, False
     seen = solution.weight > 0
     paper = np.array(np.percentile(solution.signal[seen], 95) if seen.any() else 0.0)
-    if found.variance(paper) < MIN_NOISE_FRACTION * first.variance(paper):
-        # Of strong grain a little too much taken off leaves next to nothing, and would have every pixel believed.
-        read, gain = np.sqrt(MIN_NOISE_FRACTION) * first.read_dn, MIN_NOISE_FRACTION * first.gain_dn
+    if found.variance(paper) < SHARP_FIT.min_noise_fraction * first.variance(paper):
+        # A slightly overestimated strong texture leaves next to no noise, and every pixel would count as exact.
+        read, gain = np.sqrt(SHARP_FIT.min_noise_fraction) * first.read_dn, SHARP_FIT.min_noise_fraction * first.gain_dn
         return NoiseModel(read, gain, found.texture, found.texture_px), True
     return found, True
 
@@ -154,9 +154,11 @@ def _half_extent(dot: Dot) -> float:
 
 def _crop(dot: Dot, patch: Patch, *, full_patch: bool) -> Patch:
     reach = _half_extent(dot)
-    if not full_patch and dot.paper_px > dot.semi_major_px + 2 * EDGE_MARGIN_PX:
+    if not full_patch and dot.paper_px > dot.semi_major_px + 2 * TEXTURE_MAP.edge_margin_px:
         # The blurred edge of the paper darkens what lies before it; narrow labels are masked pixel by pixel instead.
-        reach = min(reach, max(dot.paper_px - EDGE_MARGIN_PX, dot.semi_major_px + EDGE_MARGIN_PX))
+        reach = min(
+            reach, max(dot.paper_px - TEXTURE_MAP.edge_margin_px, dot.semi_major_px + TEXTURE_MAP.edge_margin_px)
+        )
     left, top = int(np.floor(dot.x_px - reach)), int(np.floor(dot.y_px - reach))
     return patch.crop(left, top, int(np.ceil(dot.x_px + reach)) - left + 1, int(np.ceil(dot.y_px + reach)) - top + 1)
 
@@ -180,7 +182,7 @@ def _empty_target(dot: Dot, patch: Patch, noise: NoiseModel, noise_known: bool, 
 def dot_model(planes: ColourPlanes, grid: FrequencyGrid) -> DarknessModel:
     """Darkness of a resting dot and its derivatives.
 
-    Parameters are x, y, q0, q1, q2, blur variance, then for each lattice the extra variance, the diffraction width
+    Parameters are x, y, q0, q1, q2, blur variance, then for each colour plane the extra variance, the diffraction width
     and the offset in x and y.
     """
     n = planes.values.shape[0]
@@ -191,7 +193,7 @@ def dot_model(planes: ColourPlanes, grid: FrequencyGrid) -> DarknessModel:
     def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         dark, by_q = closed_form.ellipse_spectrum(grid.fx, grid.fy, p[2:5])
         own = p[COMMON_PARAMETERS:].reshape(n, 4)
-        # 0 the dot, 1..6 by the common parameters, 7 by the lattice's own diffraction width
+        # 0 the dot, 1..6 by the common parameters, 7 by the colour plane's own diffraction width
         spectra = np.empty((8, n, *f2.shape), dtype=np.complex128)
         for index in range(n):
             extra, width, ox, oy = own[index]
@@ -242,7 +244,7 @@ def _fit_dot(dot: Dot, planes: ColourPlanes, noise: NoiseModel, blob: Blob) -> t
         return p
 
     weights = noise_weights(noise, planes)
-    size = (height * planes.period + MARGIN_PX, width * planes.period + MARGIN_PX)
+    size = (height * planes.period + SHARP_FIT.margin_px, width * planes.period + SHARP_FIT.margin_px)
     model = dot_model(planes, make_grid(size))
     solution = solve(planes, weights, model, start, prior, bound=bound, max_iterations=40)
     if _lens_psf(planes, solution).resolves_pixels:
@@ -253,7 +255,7 @@ def _fit_dot(dot: Dot, planes: ColourPlanes, noise: NoiseModel, blob: Blob) -> t
 
 def _is_blurred(planes: ColourPlanes, solution: Solution) -> bool:
     """Whether a dot that fits badly moved while it was taken: blurred to one side, and badly fitted because of it."""
-    size = [planes.period * length + MARGIN_PX for length in planes.values.shape[1:]]
+    size = [planes.period * length + SHARP_FIT.margin_px for length in planes.values.shape[1:]]
     grid = make_grid((size[0], size[1]))
     resting = dot_model(planes, grid)
     lens = _lens_psf(planes, solution)
@@ -274,7 +276,7 @@ def _is_blurred(planes: ColourPlanes, solution: Solution) -> bool:
     values = np.linalg.eigvalsh(np.array([[found.p[5], found.p[6]], [found.p[6], found.p[7]]]))
     step = found.p - start
     explained = float(step @ np.linalg.pinv(found.covariance, hermitian=True) @ step) / max(solution.cost, 1e-12)
-    return bool(values[1] - values[0] > BLURRED_PX2 and explained > BLURRED_COST_FRACTION)
+    return bool(values[1] - values[0] > SHARP_FIT.blurred_px2 and explained > SHARP_FIT.blurred_cost_fraction)
 
 
 def _lens_psf(planes: ColourPlanes, solution: Solution) -> LensPsf:
@@ -305,7 +307,7 @@ def _build_target(
 ) -> SharpTarget:
     chi2 = (
         _chi2_with(noise, planes, solution) if noise_known and template_residual is None else solution.chi2
-    )  # grain is noise too
+    )  # paper texture is noise too
     scale = (
         max(solution.chi2, 1.0) if template_residual is None else 1.0
     )  # but shared by neighbours, so that it weighs more
@@ -326,9 +328,9 @@ def _build_target(
     fitted = 0.5 < axes[0] / dot.semi_minor_px < 2 and np.all(np.isfinite(solution.p)) and min(contrast.values()) > 0.02
     if not fitted:
         flags.add(Flag.NOT_FOUND)
-    if chi2 > MAX_NOISE_CHI2 and template_residual is None:
+    if chi2 > SHARP_FIT.max_noise_chi2 and template_residual is None:
         flags.add(Flag.POOR_FIT)
-    if chi2 > BLUR_TEST_CHI2 and _is_blurred(planes, solution):
+    if chi2 > SHARP_FIT.blur_test_chi2 and _is_blurred(planes, solution):
         flags.add(Flag.POOR_FIT)
     # The channels' offsets are relative to the target's own centre: on average there is none.
     mean = np.zeros((2, len(solution.p)))
@@ -339,7 +341,7 @@ def _build_target(
 
 
 def _chi2_with(noise: NoiseModel, planes: ColourPlanes, solution: Solution) -> float:
-    """Residual variance over what noise and grain make of it."""
+    """Residual variance over what noise and paper texture make of it."""
     used = solution.weight > 0
     raw = solution.residual[used] ** 2 / solution.weight[used]
     return float(np.sum(raw * noise_weights(noise, planes)(solution.signal)[used])) / max(solution.dof, 1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labdaemon.blur.patch.colour_planes import FrequencyGrid
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, NoiseModel
+from labdaemon.blur.settings import TARGET_SHAPE
 from labdaemon.blur.sharp.template_residual import TemplateResidual
 from labdaemon.blur.sharp.texture_map import PaperTextureMap
 from labdaemon.blur.spectra import closed_form
@@ -71,12 +72,8 @@ class LensPsf:
         return result
 
 
-MIN_FOCAL_PX = 3000.0  # focal length of ordinary lenses on ordinary sensors, or less
-DISTORTION_SD = 0.02  # standard deviation of a label's turn and stretch between the frames, radians
-
-
 class TargetShape(Protocol):
-    """What a target looks like at rest, as spectra about its centre."""
+    """A target at rest, as spectra about its centre."""
 
     def spectra(self, grid: FrequencyGrid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
         """Spectra of the darkness and their derivatives by the uncertain shape parameters.
@@ -127,7 +124,7 @@ class EllipseShape:
     shape_covariance
         (4, 4) covariance of q0, q1, q2 (px) and the blur's variance (px²).
     template_residual
-        What the sharp picture shows beyond the ellipse, if that is more than noise.
+        What the sharp image shows beyond the ellipse, if that is more than noise.
     """
 
     q_px: FloatArray
@@ -136,10 +133,10 @@ class EllipseShape:
     template_residual: TemplateResidual | None = None
 
     def spectra(self, grid: FrequencyGrid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
-        """Closed form, and relief; derivatives by q0, q1, q2 and the blur's variance.
+        """Closed form, and template residual; derivatives by q0, q1, q2 and the blur's variance.
 
-        With a strong relief the derivatives are by a small linear distortion (xx, yy, xy, yx: a label that tilts and
-        turns) and the blur's variance.
+        With a strong template residual the derivatives are by a small linear distortion (xx, yy, xy, yx: a label that
+        tilts and turns) and the blur's variance.
         """
         lens = self.lens.transfer(grid, channel)
         dark, by_q = closed_form.ellipse_spectrum(grid.fx, grid.fy, self.q_px)
@@ -164,7 +161,7 @@ class EllipseShape:
         """Covariance of the parameters that `spectra` differentiates by."""
         if self.template_residual is None or not self.template_residual.is_strong:
             return self.shape_covariance
-        return np.diag([*[DISTORTION_SD**2] * 4, self.shape_covariance[3, 3]])
+        return np.diag([*[TARGET_SHAPE.distortion_sd**2] * 4, self.shape_covariance[3, 3]])
 
     @property
     def half_size_px(self) -> tuple[float, float]:
@@ -208,7 +205,7 @@ class SharpTarget:
     contrast
         Per channel number, 1 − ink/white (1 for a texture, whose contrast is its own).
     noise
-        The noise model in use; `noise_known` tells whether it was given or estimated here.
+        The noise model in use; `noise_known` is False where it is only an estimate.
     paper_px
         Distance from the centre to the paper's edge.
     chi2
@@ -227,15 +224,15 @@ class SharpTarget:
     paper_px: float = float("inf")
     chi2: float = 1.0
     flags: frozenset[Flag] = field(default_factory=frozenset)
-    paper: PaperTextureMap | None = None
+    texture_map: PaperTextureMap | None = None
 
     def with_scale_uncertainty(self, place_px: FloatArray) -> SharpTarget:
         """The target where its mean position is another than at rest: its size is known less well there.
 
         What moved sideways may have come nearer or gone away by as much, and looks larger or smaller by that part of
-        its distance; a lens is `MIN_FOCAL_PX` long or more.
+        its distance; a lens is `TARGET_SHAPE.min_focal_px` long or more.
         """
-        part = float(np.hypot(*(place_px - self.centre_px))) / MIN_FOCAL_PX
+        part = float(np.hypot(*(place_px - self.centre_px))) / TARGET_SHAPE.min_focal_px
         if not isinstance(self.form, EllipseShape) or not part > 0:
             return self
         size = np.append(self.form.q_px, 0.0) * part

@@ -1,6 +1,6 @@
-"""What a sharp picture shows beyond an ideal dot: rough edges, folds and grain of the paper, a camera's tone curve.
+"""What a sharp image shows beyond an ideal dot: rough edges, folds and paper texture, a camera's tone curve.
 
-All of it moves with the target, so it belongs to the picture that is blurred. It is measured as the residual of the
+All of it moves with the target, so it belongs to the image that is blurred. It is measured as the residual of the
 sharp fit, kept as far as it stands above noise, and added to the dot's closed form.
 """
 
@@ -13,11 +13,7 @@ from scipy import fft, ndimage
 
 from labdaemon.blur.patch.colour_planes import ColourPlanes, FrequencyGrid, merge_planes
 from labdaemon.blur.patch.pixels import BoolArray, ComplexArray, FloatArray, Patch
-
-OUTLINE_BAND_PX = 3.0  # to either side of a dot's outline, where its lens blur reaches
-SMEAR_MARGIN_PX = 2.5  # of paper beyond the smear that is used around a dot with strong relief
-MIN_RMS = 0.012  # rms of relief, relative to the dot's contrast, below which it is grain and better counted as noise
-STRONG_RMS = 0.02  # rms of relief, relative to the dot's contrast, that is no longer small
+from labdaemon.blur.settings import TEMPLATE_RESIDUAL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,17 +40,20 @@ class TemplateResidual:
     @property
     def is_strong(self) -> bool:
         """Whether pixels that it does not reach had better be left out."""
-        return self.rms > STRONG_RMS
+        return self.rms > TEMPLATE_RESIDUAL.strong_rms
 
     def is_paper_texture(self, radius_px: float) -> bool:
         """Whether it is weak and nowhere stronger than on bare paper; a rough dot shows at its edge.
 
-        Grain may stay behind when the dot moves, relief may not.
+        Paper texture may stay behind when the dot moves, template residual may not.
         """
         height, width = self.dark.shape
         x, y = np.arange(width) - self.centre_px[0], np.arange(height)[:, None] - self.centre_px[1]
         out = np.hypot(x, y) - radius_px
-        bare, edge = self.known & (out > OUTLINE_BAND_PX), self.known & (np.abs(out) <= OUTLINE_BAND_PX)
+        bare, edge = (
+            self.known & (out > TEMPLATE_RESIDUAL.outline_band_px),
+            self.known & (np.abs(out) <= TEMPLATE_RESIDUAL.outline_band_px),
+        )
         if self.is_strong or not bare.any() or not edge.any():
             return False
         return bool(np.mean(self.dark[edge] ** 2) <= np.mean(self.dark[bare] ** 2))
@@ -131,7 +130,7 @@ def find_template_residual(
     Parameters
     ----------
     residual_dark, variance
-        (n, h, w) residual darkness and its noise variance, on the lattices.
+        (n, h, w) residual darkness and its noise variance, on the colour planes.
     paper
         (H, W) mask on all pixels.
     centre_px
@@ -154,7 +153,7 @@ def find_template_residual(
     keep = np.clip(1 - floor / np.maximum(mean, 1e-300), 0.0, 1.0)
     kept = np.real(fft.ifft2(spectrum * keep[band])) * good
     rms = float(np.sqrt(np.mean(kept[good] ** 2)))
-    if rms < MIN_RMS:
+    if rms < TEMPLATE_RESIDUAL.min_rms:
         return None
     return TemplateResidual(kept, paper, centre_px - np.asarray(planes.origin_px), rms)
 
@@ -169,8 +168,8 @@ def trusted_pixels(
 ) -> BoolArray:
     """(h, w) pixels of a blurred patch all of whose light came from paper that the sharp frame showed.
 
-    With a strong relief only what is near the smear counts: folds and gloss further out change with the light as a
-    label moves.
+    With a strong template residual only what is near the smear counts: folds and gloss further out change with the
+    light as a label moves.
 
     Parameters
     ----------
@@ -199,6 +198,9 @@ def trusted_pixels(
         x = np.arange(width) - (place_px[0] - patch.origin_px[0])
         y = np.arange(height)[:, None] - (place_px[1] - patch.origin_px[1])
         path = np.sin(angle)[:, None] * a_px + np.cos(angle)[:, None] * b_px
-        near = np.min([np.hypot(x - dx, y - dy) for dx, dy in path], axis=0) < radius_px + SMEAR_MARGIN_PX
+        near = (
+            np.min([np.hypot(x - dx, y - dy) for dx, dy in path], axis=0)
+            < radius_px + TEMPLATE_RESIDUAL.smear_margin_px
+        )
         result &= near
     return result

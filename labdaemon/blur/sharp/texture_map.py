@@ -1,8 +1,8 @@
-"""The paper's own grain, as the sharp frame shows it: it is on the paper, so it moves with the target.
+"""The paper texture, as the sharp frame shows it: it is on the paper, so it moves with the target.
 
-Grain is what limits long smears: photons average out along the path, but grain is dragged along and stays. What the
-sharp frame tells of it need not be counted as noise. Each spatial frequency is kept in the proportion in which it
-stands above the sharp frame's own noise (Wiener); the rest stays noise.
+Paper texture is what limits long smears: photons average out along the path, but paper texture is dragged along and
+stays. What the sharp frame shows of it does not count as noise. Each spatial frequency is kept in the proportion
+in which it stands above the sharp frame's own noise (Wiener); the rest stays noise.
 """
 
 from __future__ import annotations
@@ -18,20 +18,14 @@ from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
 from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.paper_texture import estimate_texture
 from labdaemon.blur.patch.pixels import BoolArray, FloatArray, NoiseModel, Patch
+from labdaemon.blur.settings import TEXTURE_MAP
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.spectra import closed_form
-
-DOT_MARGIN_PX = 4.0  # around the dot where the fit knows the light better than a surface through the paper does
-EDGE_MARGIN_PX = 4.5  # how far the paper's blurred edge is kept away
-MAX_RADIUS_PX = 130.0  # of paper around a dot that is kept: twice the longest smears
-MIN_PIXELS = 400  # of each colour
-BACKGROUND_SIZE_PX = 41  # square over which the paper's brightness is averaged: what is longer is light, not grain
-MAX_VARIANCE_RATIO = 1.5  # variance, against noise and grain near the dot, from which this is not plain paper
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperTextureMap:
-    """Grain around a target.
+    """Paper texture around a target.
 
     Attributes
     ----------
@@ -50,7 +44,7 @@ class PaperTextureMap:
     def blur(
         self, blur_px2: float, moment_px2: FloatArray, centre_px: FloatArray, shape: tuple[int, int]
     ) -> FloatArray:
-        """(h, w) the grain in a patch, smeared with the target.
+        """(h, w) the paper texture in a patch, smeared with the target.
 
         Parameters
         ----------
@@ -80,7 +74,7 @@ class PaperTextureMap:
         return result
 
     def shift(self, centre_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
-        """(h, w) the grain in a patch in which the target at rest is at `centre_px`, (2,), to the nearest pixel."""
+        """(h, w) the paper texture with the resting target at `centre_px` (2,) of the patch, to the nearest pixel."""
         left, top = np.rint(centre_px - self.centre_px).astype(int)
         return self._crop_map(-left, -top, shape).astype(np.float64)
 
@@ -95,29 +89,33 @@ class PaperTextureMap:
 
 
 def texture_power(noise: NoiseModel, f2: FloatArray) -> FloatArray:
-    """Power of the grain at squared frequencies, relative to the paper's brightness squared, px²."""
+    """Power of the paper texture at squared frequencies, relative to the paper's brightness squared, px²."""
     length = noise.texture_px
     result: FloatArray = noise.texture**2 * 4 * np.pi * length**2 * np.exp(-4 * np.pi**2 * length**2 * f2)
     return result
 
 
 def unmapped_power(power: FloatArray, map_noise: float, fx: FloatArray, fy: FloatArray) -> FloatArray:
-    """Power of the grain that is left after what a map tells of it, from its `power`; as `texture_power`.
+    """Power of the paper texture that the map does not predict, from its `power`; as `texture_power`.
 
-    The map is H K (g + n): g the grain, n the sharp frame's noise of power `map_noise` (infinite: no map), K the Wiener
-    filter, H what taking off the mean over `BACKGROUND_SIZE_PX` lets through. What remains is |1 − HK|² of the paper
-    texture and |HK|² of the noise.
+    The map is H K (g + n): g the paper texture, n the sharp frame's noise of power `map_noise` (infinite: no map), K
+    the Wiener filter, H the high-pass of the background (`TextureMapSettings`). What remains is |1 − HK|²
+    of the paper texture and |HK|² of the noise.
     """
     if not np.isfinite(map_noise):
         return power
-    kept = power / (power + map_noise) * (1 - np.sinc(BACKGROUND_SIZE_PX * fx) * np.sinc(BACKGROUND_SIZE_PX * fy))
+    kept = (
+        power
+        / (power + map_noise)
+        * (1 - np.sinc(TEXTURE_MAP.background_size_px * fx) * np.sinc(TEXTURE_MAP.background_size_px * fy))
+    )
     result: FloatArray = power * (1 - kept) ** 2 + map_noise * kept**2
     return result
 
 
 @lru_cache(maxsize=64)
 def half_plane_frequencies(size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (1, w // 2 + 1) and (h, 1) of pictures of `size` (h, w), cycles a pixel."""
+    """Frequencies (1, w // 2 + 1) and (h, 1) of images of `size` (h, w), cycles a pixel."""
     fx, fy = np.fft.rfftfreq(size[1]), np.fft.fftfreq(size[0])
     return fx[None, :].astype(np.float64), fy[:, None].astype(np.float64)
 
@@ -131,7 +129,7 @@ def map_paper_texture(
     paper_px: float,
     noise: NoiseModel,
 ) -> tuple[PaperTextureMap | None, NoiseModel]:
-    """Grain of the paper around a fitted dot, and the noise model with the strength of it that all this paper shows.
+    """Paper texture around a fitted dot, and the noise model with the strength of it that all this paper shows.
 
     Parameters
     ----------
@@ -144,27 +142,27 @@ def map_paper_texture(
     paper_px
         Distance of the paper's edge.
     noise
-        Of this picture (a mean of frames has less than one), by the fit of the dot.
+        Of this image (a mean of frames has less than one), by the fit of the dot.
 
     Returns
     -------
     map, noise
         No map, and the noise as given, where little paper is to be seen or it is not plain paper.
     """
-    reach = int(min(paper_px - EDGE_MARGIN_PX, radius_px + MAX_RADIUS_PX))
+    reach = int(min(paper_px - TEXTURE_MAP.edge_margin_px, radius_px + TEXTURE_MAP.max_radius_px))
     left, top = (int(np.rint(v)) - reach for v in centre_px)
     wide = patch.crop(left, top, 2 * reach + 1, 2 * reach + 1)
     height, width = wide.shape
     x = np.arange(width) + wide.origin_px[0] - centre_px[0]
     y = (np.arange(height) + wide.origin_px[1] - centre_px[1])[:, None]
     distance = np.hypot(x, y)
-    paper = wide.valid & (distance < reach) & (distance > radius_px + DOT_MARGIN_PX)
+    paper = wide.valid & (distance < reach) & (distance > radius_px + TEXTURE_MAP.dot_margin_px)
     if not paper.any():
         return None, noise
     dark, white = np.zeros(wide.shape), np.zeros(wide.shape)
     for channel in np.unique(wide.channel):
         here = paper & (wide.channel == channel)
-        if np.count_nonzero(here) < MIN_PIXELS:
+        if np.count_nonzero(here) < TEXTURE_MAP.min_pixels:
             return None, noise
         level = _fit_surface(wide.values, here, x / reach, y / reach)
         dark[here] = 1 - wide.values[here] / level[here]
@@ -172,12 +170,14 @@ def map_paper_texture(
     # Hot pixels and specks of dirt.
     paper &= np.abs(dark) < 5 * 1.48 * float(np.median(np.abs(dark[paper])))
     dark[~paper] = 0.0
-    near = ndimage.uniform_filter(paper.astype(np.float64), BACKGROUND_SIZE_PX, mode="constant")
+    near = ndimage.uniform_filter(paper.astype(np.float64), TEXTURE_MAP.background_size_px, mode="constant")
     dark -= np.where(
-        paper, ndimage.uniform_filter(dark, BACKGROUND_SIZE_PX, mode="constant") / np.maximum(near, 1e-3), 0.0
+        paper,
+        ndimage.uniform_filter(dark, TEXTURE_MAP.background_size_px, mode="constant") / np.maximum(near, 1e-3),
+        0.0,
     )
     floor = float(np.mean(white[paper]))
-    if float(np.mean(dark[paper] ** 2)) > MAX_VARIANCE_RATIO * (floor + noise.texture**2):
+    if float(np.mean(dark[paper] ** 2)) > TEXTURE_MAP.max_variance_ratio * (floor + noise.texture**2):
         return None, noise
     texture, length = estimate_texture(dark, paper.astype(np.float64), paper.astype(np.float64))
     noise = replace(noise, texture=texture, texture_px=length)

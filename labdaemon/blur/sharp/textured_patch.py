@@ -12,8 +12,9 @@ from scipy import fft, ndimage
 from labdaemon.blur.patch.colour_planes import FrequencyGrid
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, NoiseModel, Patch
+from labdaemon.blur.settings import TARGET_SHAPE
 from labdaemon.blur.sharp.fit_sharp import average_patches
-from labdaemon.blur.sharp.target import DISTORTION_SD, SharpTarget
+from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -64,7 +65,7 @@ class TexturedPatch:
     @property
     def prior_covariance(self) -> FloatArray:
         """Of a small linear distortion (xx, yy, xy, yx)."""
-        return DISTORTION_SD**2 * np.eye(4)
+        return TARGET_SHAPE.distortion_sd**2 * np.eye(4)
 
     @property
     def half_size_px(self) -> tuple[float, float]:
@@ -181,7 +182,7 @@ def _interpolate_channels(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, 
 
 
 def _select_greens(patch: Patch, good: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The two channels of a mosaic's diagonal that respond most alike; all there are where it is no mosaic."""
+    """The two channels of a mosaic's diagonal with the most similar response; all channels where it is no mosaic."""
     channels = np.unique(patch.channel).astype(np.int64)
     if len(channels) < 4 or min(patch.shape) < 4:
         return channels
@@ -196,18 +197,18 @@ def _select_greens(patch: Patch, good: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _interpolate_checkerboard(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
-    """Fill a chessboard's gaps with the smoothest picture that its spatial frequencies allow (Papoulis–Gerchberg)."""
+    """Fill a chessboard's gaps with the smoothest image that its spatial frequencies allow (Papoulis–Gerchberg)."""
     pad = 8
     wide, mask = np.pad(values, pad, mode="reflect"), np.pad(known, pad, mode="reflect")
     weight = ndimage.gaussian_filter(mask.astype(np.float64), 0.8)
-    picture = np.where(mask, wide, ndimage.gaussian_filter(np.where(mask, wide, 0.0), 0.8) / np.maximum(weight, 1e-9))
+    image = np.where(mask, wide, ndimage.gaussian_filter(np.where(mask, wide, 0.0), 0.8) / np.maximum(weight, 1e-9))
     fy, fx = np.abs(np.fft.fftfreq(wide.shape[0]))[:, None], np.abs(np.fft.rfftfreq(wide.shape[1]))[None, :]
     band = fy + fx < 0.5
     for _ in range(25):
-        smooth = fft.irfft2(fft.rfft2(picture) * band, s=wide.shape)
-        picture = np.where(mask, wide, smooth)
+        smooth = fft.irfft2(fft.rfft2(image) * band, s=wide.shape)
+        image = np.where(mask, wide, smooth)
     # The known pixels stay as they are: dropping what they hold beyond the band makes a later frame look defocused.
-    return picture[pad:-pad, pad:-pad]
+    return image[pad:-pad, pad:-pad]
 
 
 def _fill_gaps(values: FloatArray, good: NDArray[np.bool_]) -> FloatArray:

@@ -1,1 +1,1 @@
-"""The modelled picture of a smeared target: its parameters, where a fit begins, and how far it can be trusted."""
+"""The modelled image of a smeared target: its parameters, where a fit begins, and how far it can be trusted."""

@@ -8,21 +8,16 @@ import numpy as np
 
 from labdaemon.blur.motion import Defocus, Measurement, StaticMeasurement
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.settings import DEFOCUS
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 
-DOT_DEFOCUS_SD_PX2 = 0.3
-PATCH_DEFOCUS_SD_PX2 = 1e-3
-COMMON_ERROR_SD_PX2 = (
-    0.002  # what all control targets of a frame have wrong in common (interpolation between its pixels)
-)
-
 
 def default_defocus(sharp: SharpTarget) -> Defocus:
-    """What is assumed of defocus when nothing tells."""
-    return Defocus(0.0, PATCH_DEFOCUS_SD_PX2 if isinstance(sharp.form, TexturedPatch) else DOT_DEFOCUS_SD_PX2)
+    """Prior for the defocus without any control target."""
+    return Defocus(0.0, DEFOCUS.patch_sd_px2 if isinstance(sharp.form, TexturedPatch) else DEFOCUS.dot_sd_px2)
 
 
 def estimate_frame_defocus(stills: Sequence[StaticMeasurement]) -> Defocus:
@@ -48,7 +43,7 @@ def estimate_frame_defocus(stills: Sequence[StaticMeasurement]) -> Defocus:
         raise DataError("no control target could be measured in this frame; check that they are in view and lit")
     value = np.array([s.defocus_px2 for s in seen])
     mean, sd, _ = _robust_mean(value, np.array([s.covariance_px2[2, 2] for s in seen]) + 1e-6)
-    return Defocus(mean, float(np.hypot(sd, COMMON_ERROR_SD_PX2)))
+    return Defocus(mean, float(np.hypot(sd, DEFOCUS.common_error_sd_px2)))
 
 
 def estimate_target_defocus(measurements: Sequence[Measurement]) -> Defocus | None:
@@ -62,7 +57,7 @@ def estimate_target_defocus(measurements: Sequence[Measurement]) -> Defocus | No
         return None
     value = np.array(seen)
     mean, _, scatter = _robust_mean(value, np.full(len(value), max(float(np.var(value)), 1e-6)))
-    scatter = max(scatter, 0.005)
+    scatter = max(scatter, DEFOCUS.min_scatter_px2)
     return Defocus(mean, scatter, 2 * float(np.hypot(mean, scatter)))
 
 

@@ -1,4 +1,4 @@
-"""The modelled picture of a smeared target in a patch."""
+"""The modelled image of a smeared target in a patch."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from labdaemon.blur.patch.colour_planes import ColourPlanes, FrequencyGrid, make_grid, make_planes, sample_plane
 from labdaemon.blur.patch.locate import Blob, find_blob, mask_pixels
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, Patch
+from labdaemon.blur.settings import CACHE
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget, TargetShape
 from labdaemon.blur.sharp.template_residual import trusted_pixels
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
@@ -24,10 +25,6 @@ TransferFunction = Callable[
 ]
 """From fx, fy and motion parameters to the transfer function and its derivatives (m, rows, columns)."""
 
-MAX_CACHED_DOTS, MAX_CACHED_FREQUENCIES = 192, 6000
-"""How many dots' spectra at rest are kept, and of how many frequencies: they stay the same for a campaign, and patches
-come in few sizes. At most 80 MB."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestSpectra:
@@ -36,7 +33,7 @@ class RestSpectra:
     Attributes
     ----------
     spectra
-        (n, rows, columns) as each lattice sees it, from its own first pixel.
+        (n, rows, columns) as each colour plane sees it, from its own first pixel.
     common
         (rows, columns) the mean of all channels, from the patch's first pixel.
     by_shape
@@ -55,14 +52,14 @@ class RestSpectra:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitProblem:
-    """What a fit needs besides its parameters.
+    """What a fit needs in addition to its parameters.
 
     Attributes
     ----------
     planes, grid
         The patch, cropped and masked, and its frequencies.
     rest_spectra
-        What the target looks like at rest there.
+        Spectra of the target at rest on that grid.
     initial_centre_px
         (2,) where to begin, frame coordinates.
     blob
@@ -122,7 +119,7 @@ def prepare_fit(
 def rest_spectra(form: TargetShape, grid: FrequencyGrid, planes: ColourPlanes) -> RestSpectra:
     """A target's spectra at rest on a patch's grid; kept for dots."""
     channel = tuple(planes.channel.tolist())
-    if isinstance(form, EllipseShape) and form.template_residual is None and grid.fx.size <= MAX_CACHED_FREQUENCIES:
+    if isinstance(form, EllipseShape) and form.template_residual is None and grid.fx.size <= CACHE.max_frequencies:
         return _cached_rest_spectra(_DotKey.from_shape(form), grid.size, grid.oversampling, channel, planes.period)
     return _compute_rest_spectra(form, grid, channel, planes.period)
 
@@ -148,7 +145,7 @@ class _DotKey:
         return cls(tuple(array.tobytes() for array in arrays), form)
 
 
-@lru_cache(maxsize=MAX_CACHED_DOTS)
+@lru_cache(maxsize=CACHE.max_dots)
 def _cached_rest_spectra(
     dot: _DotKey, size: tuple[int, int], oversampling: int, channel: tuple[int, ...], period: int
 ) -> RestSpectra:
@@ -178,7 +175,8 @@ def _prepare_texture(
 def forward_model(problem: FitProblem, motion: TransferFunction | None, *, exact: bool = False) -> DarknessModel:
     """Darkness of a moving target.
 
-    Parameters are x, y, extra variance, the shape parameters' deviations, then the motion's own. `motion` None is rest.
+    Parameters are x, y, extra variance, the shape parameters' standard deviations, then the motion's own. `motion` None
+    is rest.
 
     The darkness is each channel's own. Its derivatives are those of the channels' mean unless `exact`: that halves the
     work and biases nothing; a hundredth of the precision is lost, channels differing by parts of a pixel of blur.

@@ -142,12 +142,12 @@ def window_orbit_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunc
 
 
 def window_in_phase_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:
-    """Standing motion by (vx, vy, ψ)."""
+    """In-phase motion by (vx, vy, ψ)."""
     return partial(_in_phase_at_nodes, basis=basis, weight=weight)
 
 
 def window_fixed_phase_transfer(phase_rad: float) -> TransferFactory:
-    """Standing motion by (vx, vy) at a held phase."""
+    """In-phase motion by (vx, vy) at a held phase."""
 
     def motion(basis: FloatArray, weight: FloatArray) -> TransferFunction:
         waveform = np.cos(phase_rad) * basis[0] + np.sin(phase_rad) * basis[1]
@@ -169,7 +169,7 @@ def _in_phase_at_nodes(
 
 
 def stack_planes(parts: list[ColourPlanes]) -> ColourPlanes:
-    """Patches of several frames as one, each lattice keeping its own place; smaller ones are padded with nothing."""
+    """Patches of several frames as one; each colour plane keeps its position, smaller ones are padded."""
     if len(parts) == 1:
         return parts[0]
     height = max(p.values.shape[1] for p in parts)

@@ -1,18 +1,18 @@
-"""The last step of a fit, with the paper's grain weighed as what it is: noise that neighbours share.
+"""The last step of a fit: generalised least squares with the paper texture as correlated noise.
 
-Photon and read noise differ from pixel to pixel; grain does not, and moving paper smears it along the path. A fit that
-takes all of it for independent is unbiased but wastes up to half of what a long smear tells, and believes too much of
-it. Here
+Photon and read noise differ from pixel to pixel; paper texture does not, and moving paper smears it along the path. A
+fit that takes all noise for independent is unbiased, but it loses up to half of the information of a long smear and
+understates its covariance. Here
 
-- what the sharp frame shows of the grain (`papermap`) is taken off, both smeared with the target and standing still,
-  each in the proportion in which it is found: labels move with their dots, a wall behind a dot does not, and neither
-  does the sensor's own pattern;
+- what the sharp frame shows of the paper texture (`texture_map`) is subtracted, once blurred with the target and once
+  static, each with a fitted amplitude: labels move with their dots, a wall behind a dot does not, and neither does
+  the sensor's own pattern;
 - the rest is weighed by W^½ F W^½, with W the inverse variance of the independent noise and F a filter 1/(1 + κS), S
-  the spectrum of the grain that is left and κ the mean ratio of the two;
+  the spectrum of the paper texture that is left and κ the mean ratio of the two;
 - light may bend: the diffracted skirts of the paper's own edges, and lamps, add a quadratic surface to the plane;
 - the covariance is the inverse normal matrix: that of the true noise under this weight is 0 to 5 % smaller.
 
-The light of each lattice is eliminated first, under W: what remains does not depend on it, whatever it is weighed by.
+The illumination of each colour plane is eliminated first, under W: what remains does not depend on it under any weight.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from labdaemon.blur.patch.illumination import (
     ridge_matrix,
 )
 from labdaemon.blur.patch.pixels import FloatArray, NoiseModel
+from labdaemon.blur.settings import GLS
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.texture_map import half_plane_frequencies, texture_power, unmapped_power
 from labdaemon.blur.smear.forward_model import FitProblem
@@ -38,15 +39,6 @@ from labdaemon.blur.solver.reduced_equations import Prior, Solution, invert_scal
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.spectra.render import to_single
-
-CURVATURE_SD = 0.02  # prior deviation of the light's curvature over a patch, relative
-MOVING_PRIOR, STATIC_PRIOR = (
-    (1.0, 0.5),
-    (0.0, 0.5),
-)  # how much of the mapped grain is expected to move and to stand, with deviations
-MAX_TEXTURE_AMPLITUDE = 1.5  # of either, counted for what is left of it
-MAX_CHI2 = 4.0  # residuals from which a fit is not improved by weighing noise
-MARGIN_PX = 8  # of nothing around the pictures that are filtered
 
 
 def gls_refine(
@@ -57,7 +49,7 @@ def gls_refine(
     moment_px2: FloatArray,
     prior: Prior,
 ) -> Solution:
-    """One Gauss–Newton step from a solution with grain in the weights, and the covariance that goes with it.
+    """One Gauss–Newton step from a solution with paper texture in the weights, and the covariance that goes with it.
 
     Parameters
     ----------
@@ -75,7 +67,7 @@ def gls_refine(
     Solution
         As given where the noise is not known, or the residuals are not noise.
     """
-    if not sharp.noise_known or solution.chi2 > MAX_CHI2:
+    if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
     noise, planes, k = sharp.noise, problem.planes, len(solution.p)
     weight = np.where(solution.weight > 0, 1 / np.maximum(noise.variance(solution.signal), 1e-12), 0.0)
@@ -91,7 +83,7 @@ def gls_refine(
     ]
     wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), to_single(np.stack((*extra, left)))))
     free = merge_planes(planes, _project_out_illumination(wanted, columns[:, k:], to_single(weight)))
-    size = tuple(int(fft.next_fast_len(length + MARGIN_PX, real=True)) for length in root.shape)
+    size = tuple(int(fft.next_fast_len(length + GLS.margin_px, real=True)) for length in root.shape)
     texture_amplitudes = texture_noise.texture_amplitudes(free[k + 3 : -1], free[-1], root)
     residual_spectrum = texture_noise.residual_spectrum(
         texture_amplitudes, _unmapped_fraction(sharp, planes, free[3 + problem.shape_count : k], root), size
@@ -105,7 +97,7 @@ def gls_refine(
     precision, pull = np.zeros((count, count)), np.zeros(count)
     precision[:k, :k] = prior.precision
     pull[:k] = prior.precision @ (solution.p - prior.mean)
-    expected = [(0.0, CURVATURE_SD)] * 3 + [MOVING_PRIOR, STATIC_PRIOR][: len(texture_noise.predictions)]
+    expected = [(0.0, GLS.curvature_sd)] * 3 + [GLS.moving_prior, GLS.static_prior][: len(texture_noise.predictions)]
     for index, (mean, sd) in enumerate(expected, start=k):
         precision[index, index] = sd**-2
         pull[index] = -mean * sd**-2
@@ -117,7 +109,7 @@ def gls_refine(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextureNoise:
-    """What is known of the grain in one blurred patch.
+    """What is known of the paper texture in one blurred patch.
 
     Attributes
     ----------
@@ -125,7 +117,7 @@ class _TextureNoise:
         What the sharp frame's map predicts (darker: negative), DN: moved and smeared with the target, and standing
         still. Empty without a map.
     noise
-        With the grain's strength and length.
+        With the paper texture's strength and length.
     map_noise
         Noise of the map; infinite without one.
     blur_px2, moment_px2
@@ -148,7 +140,7 @@ class _TextureNoise:
         signal: FloatArray,
         level: FloatArray,
     ) -> _TextureNoise:
-        p, paper = solution.p, sharp.paper
+        p, paper = solution.p, sharp.texture_map
         if paper is None:
             return cls([], sharp.noise, np.inf, float(p[2]), moment_px2)
         origin = np.asarray(planes.origin_px)
@@ -158,37 +150,37 @@ class _TextureNoise:
         return cls([-level * moved, -signal * still], sharp.noise, paper.noise, float(p[2]), moment_px2)
 
     def texture_amplitudes(self, predictions: FloatArray, left: FloatArray, root: FloatArray) -> tuple[float, float]:
-        """How much of the grain moves with the target and how much stands: by least squares, from what is left over.
+        """Amplitudes of the texture that moves with the target and of the static one: least squares on the residuals.
 
         Parameters
         ----------
         predictions, left
             (2, h, w) predictions and (h, w) residuals, light eliminated.
         root
-            (h, w) inverse deviations.
+            (h, w) inverse standard deviations.
         """
         if not self.predictions:
             return 1.0, 0.0
         flat = (predictions * root).reshape(2, -1)
-        mean, sd = np.array([MOVING_PRIOR, STATIC_PRIOR]).T
+        mean, sd = np.array([GLS.moving_prior, GLS.static_prior]).T
         normal = flat @ flat.T + np.diag(sd**-2)
         found = np.linalg.solve(normal, flat @ (left * root).ravel() + mean * sd**-2)
-        moving, still = np.clip(found, 0.0, MAX_TEXTURE_AMPLITUDE)
+        moving, still = np.clip(found, 0.0, GLS.max_texture_amplitude)
         return float(moving), float(still)
 
     def residual_spectrum(
         self, texture_amplitudes: tuple[float, float], unmapped: float, size: tuple[int, ...]
     ) -> FloatArray:
-        """Spectrum of the grain that no map tells of, relative to the paper's brightness squared.
+        """Spectrum of the unmapped paper texture, relative to the paper's brightness squared.
 
         Parameters
         ----------
         texture_amplitudes
-            How much of the grain moves, and how much stands.
+            How much of the paper texture moves, and how much stands.
         unmapped
             Part of what the motion shows by that is seen against paper which the dot at rest covered.
         size
-            Of the pictures (h, w).
+            Of the images (h, w).
         """
         fx, fy = half_plane_frequencies(size)
         power = texture_power(self.noise, fx**2 + fy**2)
@@ -200,20 +192,20 @@ class _TextureNoise:
 
 
 def _unmapped_fraction(sharp: SharpTarget, planes: ColourPlanes, by_motion: FloatArray, root: FloatArray) -> float:
-    """Part of the motion's information that lies where the dot was at rest: nobody has seen the paper there.
+    """Part of the motion's information that lies where the dot was at rest, over paper that no map shows.
 
     Parameters
     ----------
     by_motion
         (m, h, w) derivatives by the motion's parameters.
     root
-        (h, w) inverse deviations.
+        (h, w) inverse standard deviations.
     """
     x, y = sharp.centre_px - np.asarray(planes.origin_px)
     height, width = root.shape
     covered = np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) < max(sharp.form.half_size_px)
-    told = np.sum((by_motion * root) ** 2, axis=0)
-    return float(np.sum(told[covered]) / max(float(np.sum(told)), 1e-300))
+    information = np.sum((by_motion * root) ** 2, axis=0)
+    return float(np.sum(information[covered]) / max(float(np.sum(information)), 1e-300))
 
 
 def _curvature_terms(planes: ColourPlanes) -> list[FloatArray]:
@@ -223,7 +215,7 @@ def _curvature_terms(planes: ColourPlanes) -> list[FloatArray]:
 
 
 def _project_out_illumination(predictions: FloatArray, light: FloatArray, weight: FloatArray) -> FloatArray:
-    """(m, n, h, w) pictures less what each lattice's light explains of them.
+    """(m, n, h, w) images less what each colour plane's light explains of them.
 
     Parameters
     ----------
@@ -243,7 +235,7 @@ def _project_out_illumination(predictions: FloatArray, light: FloatArray, weight
 
 
 def _filtered_products(first: Any, second: Any, residual_spectrum: FloatArray, size: tuple[int, ...]) -> FloatArray:
-    """(i, j) sums over all pixels of filtered pictures times others, from their half spectra (Parseval)."""
+    """(i, j) sums over all pixels of filtered images times others, from their half spectra (Parseval)."""
     twice = np.full(residual_spectrum.shape[1], 2.0)
     twice[0] = 1.0
     if size[1] % 2 == 0:

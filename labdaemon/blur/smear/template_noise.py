@@ -1,6 +1,6 @@
-"""The noise of a sharp picture that is used as a target: what it biases, taken off again.
+"""Bias of a fit whose template is a noisy image, and its correction.
 
-The blur smooths the picture's own noise, the later frame has other noise, and least squares asks for more blur to
+The blur smooths the image's own noise, the later frame has other noise, and least squares asks for more blur to
 smooth it away. To first order the shift of the parameters is −C·½·∂/∂p of the noise's part in the cost.
 """
 
@@ -21,7 +21,7 @@ from labdaemon.blur.spectra import closed_form
 def correct_template_noise_bias(
     sharp: SharpTarget, problem: FitProblem, solution: Solution, motion: TransferFunction | None
 ) -> Solution:
-    """The solution, corrected for the noise of the sharp picture where that was the target; else as it is."""
+    """The solution, corrected for the noise of the sharp image where that was the target; else as it is."""
     form = sharp.form
     if not isinstance(form, TexturedPatch):
         return solution
@@ -29,7 +29,7 @@ def correct_template_noise_bias(
     through, slopes, bends = _transmitted_power(
         problem, form, motion, solution.p, [2, *range(3 + k, len(solution.p))], k
     )
-    # Both pictures' noise is in the residuals, the sharp one's as far as the blur lets it through. What a noise model
+    # Both images' noise is in the residuals, the sharp one's as far as the blur lets it through. What a noise model
     # says would count the sensor's own pattern, too, which is the same in both.
     power = np.sum(solution.residual**2, axis=(1, 2)) / (form.frames + through)
     contrast = np.where(power > 0, solution.light[:, 3], 1.0)
@@ -37,7 +37,7 @@ def correct_template_noise_bias(
     gradient = slopes * total / 2 - (power / contrast * through) @ solution.light_jacobian[:, 3]
     step = solution.covariance @ gradient
     if motion is None:
-        # A noisy picture changes more with its blur than the target does: a part of the slopes that tells nothing. At
+        # A noisy image changes more with its blur than the target does: that part of the derivatives is noise. At
         # rest it is small; through a motion it is not, and more than the first order would be needed.
         step = np.linalg.solve(np.eye(len(step)) - total * solution.covariance @ bends, step)
     return replace(solution, p=solution.p + step)

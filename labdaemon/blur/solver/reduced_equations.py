@@ -1,4 +1,4 @@
-"""Normal equations of a patch with each lattice's light eliminated (variable projection), and what comes of them."""
+"""Normal equations of a patch with the illumination eliminated (variable projection), and their solution."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labdaemon.blur.patch.pixels import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """What is known of the parameters beforehand: independent of the picture."""
+    """What is known of the parameters beforehand: independent of the image."""
 
     mean: FloatArray
     precision: FloatArray
@@ -34,7 +34,7 @@ class Solution:
     p, covariance
         (k,) and (k, k) of the shape and motion parameters, light eliminated.
     light
-        (n, 4) w0, w1, w2, k of each lattice; x and y run over −1..1 across the patch.
+        (n, 4) w0, w1, w2, k of each colour plane; x and y run over −1..1 across the patch.
     residual
         (n, h, w) normalised residuals, 0 where masked.
     signal
@@ -50,7 +50,7 @@ class Solution:
     prior_covariance
         (k, k) what the prior's own uncertainty contributes to the covariance.
     light_jacobian
-        (n, 4, k) how each lattice's light follows the parameters (its negative, that is).
+        (n, 4, k) how each colour plane's light follows the parameters (its negative, that is).
     whitened_jacobian
         (n, k + 4, h·w) derivatives by the parameters and the light, over the pixels' standard deviations.
     correlated_noise
@@ -93,7 +93,7 @@ def weighted_squares(residual: FloatArray, weight: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedEquations:
-    """Normal equations with each lattice's light eliminated."""
+    """Normal equations with each colour plane's light eliminated."""
 
     reduced: FloatArray
     gradient: FloatArray
@@ -137,7 +137,7 @@ def reduce_normal_equations(
     with np.errstate(over="ignore", invalid="ignore"):
         products = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
     if not np.all(np.isfinite(products)):
-        products[:] = 0.0  # so far off that single precision overflows: the picture says nothing, the prior remains
+        products[:] = 0.0  # so far off that single precision overflows: the image says nothing, the prior remains
     normal, products_with_residual = products[:, :-1, :-1], products[:, :-1, -1]
     light_elimination = np.linalg.solve(
         normal[:, k:, k:] + ridge_matrix(normal[:, k:, k:], 1e-12),

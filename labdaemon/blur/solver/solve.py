@@ -14,6 +14,7 @@ import numpy as np
 from labdaemon.blur.patch.colour_planes import ColourPlanes
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.settings import SOLVER
 from labdaemon.blur.solver.reduced_equations import (
     Prior,
     Solution,
@@ -31,21 +32,6 @@ Sums over pixels are taken in the derivatives' precision: single is a thousandth
 few parameters that do not resemble each other. Everything small is in double.
 """
 
-UNDAMPED = 1e-3
-"""Damping up to which a short step means that the fit is over, and not that it has been held back."""
-
-LINEAR_STEP = 0.05
-"""Step, px or px², up to which a model is linear enough for its result not to be looked at."""
-
-LAST_STEP_SD = 0.1
-"""Step, in deviations, that is the last."""
-
-REWEIGHTED_ITERATIONS = 2
-"""Iterations whose models still change the weights."""
-
-EQUAL_COST = 1e-5
-"""Relative difference up to which two costs are the same."""
-
 
 def solve(
     planes: ColourPlanes,
@@ -56,7 +42,7 @@ def solve(
     *,
     bound: Callable[[FloatArray], FloatArray] = lambda p: p,
     max_iterations: int = 30,
-    tolerance: float = LAST_STEP_SD,
+    tolerance: float = SOLVER.last_step_sd,
     light: FloatArray | None = None,
 ) -> Solution:
     """Fit the model to the planes.
@@ -88,20 +74,20 @@ def solve(
     p = bound(np.array(start, dtype=np.float64))
     dark, by_p = evaluate_model(model, p)
     y = planes.values.astype(by_p.dtype, copy=False)
-    reweighted = 0 if light is not None else REWEIGHTED_ITERATIONS
+    reweighted = 0 if light is not None else SOLVER.reweighted_iterations
     if light is None:
         light = _initial_light(planes, weights, y, dark)
     signal = render_illumination(planes, light, dark)
     weight = weights(signal)
     cost = weighted_squares(y - signal, weight) + prior.cost(p)
-    damping, converged = UNDAMPED, False
+    damping, converged = SOLVER.undamped, False
     for iteration in range(max_iterations):
         equations = reduce_normal_equations(planes, y - signal, weight, light, dark, by_p, p, prior)
-        if iteration > reweighted and damping <= UNDAMPED:
+        if iteration > reweighted and damping <= SOLVER.undamped:
             trial = bound(p + equations.step(damping))
             step_size = np.abs(trial - p)
-            # Short against the deviation alone may be long where something hardly shows.
-            if np.max(step_size * equations.scale) < tolerance and np.max(step_size) < LINEAR_STEP:
+            # Short against the standard deviation alone may be long where something hardly shows.
+            if np.max(step_size * equations.scale) < tolerance and np.max(step_size) < SOLVER.linear_step_px:
                 return linear_update(planes, y, weight, equations, prior, p, light, dark, by_p, trial - p)
         accepted = False
         for _ in range(8):
@@ -111,14 +97,14 @@ def solve(
             trial_dark, trial_by_p = evaluate_model(model, trial)
             trial_signal = render_illumination(planes, trial_light, trial_dark)
             trial_cost = weighted_squares(y - trial_signal, weight) + prior.cost(trial)
-            if np.isfinite(trial_cost) and trial_cost <= cost * (1 + EQUAL_COST) + 1e-12:
+            if np.isfinite(trial_cost) and trial_cost <= cost * (1 + SOLVER.equal_cost) + 1e-12:
                 accepted = True
                 break
             damping = max(damping * 8, 1e-4)
         if not accepted:
             converged = True
             break
-        small = bool(np.max(np.abs(step) * equations.scale) < tolerance) or cost - trial_cost < EQUAL_COST * cost
+        small = bool(np.max(np.abs(step) * equations.scale) < tolerance) or cost - trial_cost < SOLVER.equal_cost * cost
         p, light, dark, by_p, signal, cost = trial, trial_light, trial_dark, trial_by_p, trial_signal, trial_cost
         damping = max(damping / 10, 1e-9)
         if iteration < reweighted:
@@ -204,7 +190,7 @@ def evaluate_model(model: DarknessModel, p: FloatArray) -> tuple[FloatArray, Flo
 def project_to_submodel(
     full: Solution, full_prior: Prior, p: FloatArray, step: FloatArray, jacobian: FloatArray, prior: Prior
 ) -> Solution:
-    """The solution under fewer, curved parameters, without another look at the picture.
+    """The solution under fewer, curved parameters, without another look at the image.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 
 
 def shift_factors(grid: FrequencyGrid, planes: ColourPlanes, centre_px: FloatArray) -> ComplexArray:
-    """(n, rows, columns) factors that move a target's centre to `centre_px` of the frame, on each lattice."""
+    """(n, rows, columns) factors that move a target's centre to `centre_px` of the frame, on each colour plane."""
     move = centre_px - np.asarray(planes.origin_px) - planes.offset_px
     along_x = np.exp(-2j * np.pi * move[:, 0, None, None] * grid.fx[:1])
     along_y = np.exp(-2j * np.pi * move[:, 1, None, None] * grid.fy[:, :1])
@@ -38,11 +38,11 @@ def render_darkness(spectra: Any, grid: FrequencyGrid, planes: ColourPlanes) -> 
 
 
 def sample_planes(spectra: Any, grid: FrequencyGrid, planes: ColourPlanes) -> FloatArray:
-    """(k, n, h, w) values on every lattice of pictures that are the same for all: (k, rows, columns) spectra."""
+    """(k, n, h, w) values on every colour plane of images that are the same for all: (k, rows, columns) spectra."""
     n, height, width = planes.values.shape
-    pictures = sample_plane(spectra, grid, 1)
-    result = np.empty((len(pictures), n, height, width), dtype=pictures.dtype)
+    images = sample_plane(spectra, grid, 1)
+    result = np.empty((len(images), n, height, width), dtype=images.dtype)
     step = planes.period
     for index, (ox, oy) in enumerate(planes.offset_px.astype(int)):
-        result[:, index] = pictures[:, oy : oy + step * height : step, ox : ox + step * width : step]
+        result[:, index] = images[:, oy : oy + step * height : step, ox : ox + step * width : step]
     return result

@@ -24,7 +24,7 @@ def test_grain_is_no_relief_and_a_rough_edge_is(area):
     patch = area.render(scene, SIZE, CENTRE, seed=1)
     grainy = fit_sharp(DOT, [patch])
     assert grainy.form.template_residual is None
-    assert grainy.paper is not None
+    assert grainy.texture_map is not None
     assert not grainy.flags
     smooth = area.render(replace(scene, texture=0.0), SIZE, CENTRE, seed=1)
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]

@@ -5,7 +5,8 @@ import pytest
 from scipy import ndimage
 
 from labdaemon.blur import Defocus, Dot, NoiseModel, Patch, fit_sharp, measure
-from labdaemon.blur.sharp.texture_map import BACKGROUND_SIZE_PX, half_plane_frequencies, texture_power, unmapped_power
+from labdaemon.blur.settings import TEXTURE_MAP
+from labdaemon.blur.sharp.texture_map import half_plane_frequencies, texture_power, unmapped_power
 
 SIZE, CENTRE, RADIUS = (130, 130), (64.2, 65.1), 12.0
 STILL = Defocus(0.0, 0.01)
@@ -16,7 +17,7 @@ def scene_of(area, texture=0.01, seed=7):
 
 
 def estimate_texture(area, scene, path=None):
-    """(h, w) what grain alone changes in a picture without noise, relative to it (darkness: negative)."""
+    """(h, w) what paper texture alone changes in an image without noise, relative to it (darkness: negative)."""
     plain = area.render(replace(scene, texture=0.0), SIZE, CENTRE, path, seed=None).values
     return 1 - area.render(scene, SIZE, CENTRE, path, seed=None).values / plain
 
@@ -40,9 +41,9 @@ def around(shape=SIZE):
 def test_the_map_shows_the_grain_that_is_there(area):
     scene = scene_of(area)
     sharp = sharp_of(area, scene)
-    assert sharp.paper is not None
+    assert sharp.texture_map is not None
     assert sharp.noise.texture == pytest.approx(0.01 * 1.5 / np.hypot(1.5, 0.95), rel=0.25)
-    mapped = sharp.paper.shift(np.array(CENTRE), SIZE)
+    mapped = sharp.texture_map.shift(np.array(CENTRE), SIZE)
     paper = (around() > RADIUS + 6) & (around() < 50)
     true = estimate_texture(area, scene)[paper]
     assert np.corrcoef(mapped[paper], true)[0, 1] > 0.8
@@ -54,7 +55,7 @@ def test_smeared_with_the_target_it_is_the_grain_of_the_smear(area):
     scene, a = scene_of(area), np.array([8.0, 3.0])
     sharp = sharp_of(area, scene)
     moment = np.array([a[0] ** 2, a[0] * a[1], a[1] ** 2])
-    smeared = sharp.paper.blur(0.0, moment, np.array(CENTRE), SIZE)
+    smeared = sharp.texture_map.blur(0.0, moment, np.array(CENTRE), SIZE)
     true = estimate_texture(area, scene, area.whole_cycles(*a))
     paper = (around() > RADIUS + 13) & (around() < 45)
     assert np.std(true[paper] - smeared[paper]) < 0.65 * np.std(true[paper])
@@ -62,7 +63,7 @@ def test_smeared_with_the_target_it_is_the_grain_of_the_smear(area):
 
 def test_no_map_of_smooth_paper(area):
     sharp = sharp_of(area, scene_of(area, texture=0.0))
-    assert sharp.paper is None
+    assert sharp.texture_map is None
     assert sharp.noise.texture < 0.002
 
 
@@ -77,7 +78,7 @@ def test_long_smears_are_measured_better_with_the_map_and_their_error_is_known(a
         sharp = sharp_of(area, scene, seed=100 + seed)
         smear = area.render(scene, SIZE, CENTRE, area.whole_cycles(*a), seed=200 + seed, samples=120)
         for mapped in (True, False):
-            found = measure(sharp if mapped else replace(sharp, paper=None), smear, defocus=STILL)
+            found = measure(sharp if mapped else replace(sharp, texture_map=None), smear, defocus=STILL)
             errors[mapped].append(float(np.hypot(*found.a_px)) - size)
             if mapped:
                 along = found.a_px / np.hypot(*found.a_px)
@@ -103,7 +104,7 @@ def test_grain_that_stands_still_behind_the_dot_is_taken_off_too(area):
 
 
 def test_bent_light_does_not_stretch_a_smear(area):
-    """Without noise: what is left is the light's doing, in parts of the deviation that noise would make."""
+    """Without noise: what is left is the light's doing, in parts of the standard deviation that noise would make."""
     scene, a = scene_of(area, texture=0.0), np.array([12.0, 4.0])
     sharp = sharp_of(area, scene)
     smear = area.render(scene, SIZE, CENTRE, area.whole_cycles(*a), seed=None, samples=120)
@@ -121,7 +122,7 @@ def test_frequencies_are_those_of_a_real_transform():
 
 
 def test_what_is_left_of_the_grain_has_the_stated_power():
-    """Grain less its map, both as pictures: filtered by the Wiener filter, and the mean of a square taken off."""
+    """Paper texture less its map, both as images: filtered by the Wiener filter, and the mean of a square taken off."""
     size, noise, map_noise = (256, 256), NoiseModel(1.0, 0.1, 0.01, 2.0), 2e-5
     fx, fy = half_plane_frequencies(size)
     power = texture_power(noise, fx**2 + fy**2)
@@ -131,7 +132,7 @@ def test_what_is_left_of_the_grain_has_the_stated_power():
     for _ in range(100):
         grain = np.fft.irfft2(np.fft.rfft2(rng.normal(size=size)) * np.sqrt(power), s=size)
         seen = grain + rng.normal(0.0, np.sqrt(map_noise), size)
-        seen -= ndimage.uniform_filter(seen, BACKGROUND_SIZE_PX, mode="wrap")
+        seen -= ndimage.uniform_filter(seen, TEXTURE_MAP.background_size_px, mode="wrap")
         mapped = np.fft.irfft2(np.fft.rfft2(seen) * (power / (power + map_noise)), s=size)
         found += np.abs(np.fft.rfft2(grain - mapped)) ** 2 / (100 * size[0] * size[1])
     f = np.hypot(fx, fy)

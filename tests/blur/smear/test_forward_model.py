@@ -1,4 +1,4 @@
-"""The modelled picture and its derivatives."""
+"""The modelled image and its derivatives."""
 
 import pickle
 from dataclasses import replace

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy import special
 
+from labdaemon.blur.settings import CACHE
 from labdaemon.blur.spectra import closed_form
-from labdaemon.blur.spectra.bessel import MAX_TABULATED, j0_j1
+from labdaemon.blur.spectra.bessel import j0_j1
 
 
 def test_the_table_is_good_to_a_hundred_thousandth():
-    z = np.random.default_rng(1).uniform(0, MAX_TABULATED, 20_000).astype(np.float32)
+    z = np.random.default_rng(1).uniform(0, CACHE.bessel_max, 20_000).astype(np.float32)
     j0, j1 = j0_j1(z)
     assert j0.dtype == j1.dtype == np.float32
     exact = z.astype(np.float64)
