@@ -47,9 +47,9 @@ class Subject(Victim):
     def __init__(self, rig: Any, folder: Path) -> None:
         super().__init__(rig, folder)
         self.campaigns = 0
-        if "accept_no_enable" in InterlocksSection.model_fields:
-            text = self.config.read_text()
-            self.config.write_text(text.replace("[interlocks]\n", "[interlocks]\naccept_no_enable = true\n", 1))
+        accepted = "".join(f"{key} = true\n" for key in InterlocksSection.model_fields if key.startswith("accept_"))
+        text = self.config.read_text()
+        self.config.write_text(text.replace("[interlocks]\n", f"[interlocks]\n{accepted}", 1))
 
     def start(self, transition: str = "") -> float | None:
         """Start it and wait until it serves."""
