@@ -333,6 +333,40 @@ class ProfileSettings:
     """Standard deviation of the smoothing before differentiation: photon noise has features everywhere. Trial."""
     core_darkness: float = 0.9
     """A core this dark was covered all the time: the path is shorter than the dot. Trial."""
+    thresholds: tuple[float, ...] = (0.15, 0.2, 0.27, 0.36, 0.48)
+    """Thresholds of the rapid estimate, in parts of the largest darkness, from white towards ink. Trial."""
+    outline_scatter: float = 0.05
+    """Scatter of an outline about its ellipse, relative, below which a higher threshold is not tried. Trial."""
+    round_ratio: float = 0.88
+    """Ratio of the axes from which an outline says nothing of the direction. Trial."""
+    directions: int = 4
+    """Directions that are then tried, evenly over half a turn from that of the second moments. Trial."""
+    realign_rad: float = 0.09
+    """Turn of the path against the profiles from which they are laid again. Trial."""
+    max_realign_rad: float = 0.52
+    """Turn beyond which the path is not believed. Trial."""
+    rest_sigmas: float = 4.0
+    """Excess over the sharp dot's own reading, in its sd, below which a target is at rest. Real frames."""
+    max_still_ratio: float = 0.3
+    """Reading of the sharp dot in parts of its radius from which features are mistaken. Real frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelSettings:
+    """Where the label of a dot ends (``mccarthy2016.label``). All by trial on real frames."""
+
+    rays: int = 96
+    """Directions in which the edge is looked for."""
+    step_px: float = 0.5
+    """Distance of the samples along a ray."""
+    smoothing_px: float = 0.7
+    """Standard deviation of the smoothing before that."""
+    rise: float = 0.06
+    """Darkness above the lightest place of a ray at which background begins."""
+    neighbours: int = 5
+    """Rays of which the nearest edge counts."""
+    fill_smoothing_px: float = 1.5
+    """Standard deviation of the smoothing of what is filled in."""
 
 
 SOLVER = SolverSettings()
@@ -353,3 +387,4 @@ TARGET_SHAPE = TargetShapeSettings()
 TEXTURE_MAP = TextureMapSettings()
 LOCATE = LocateSettings()
 PROFILE = ProfileSettings()
+LABEL = LabelSettings()

@@ -85,7 +85,27 @@ def rapid_estimate(dark: FloatArray, near: tuple[float, float]) -> ProfileFrame 
     smooth = ndimage.gaussian_filter(dark, 1.0)
     peak = float(np.percentile(smooth, 99.5))
     noise = 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))
-    labels, count = ndimage.label(smooth > max(0.15 * peak, 5.0 * noise, 0.02))
+    best: tuple[float, ellipse.Ellipse] | None = None
+    for part in PROFILE.thresholds:
+        outline = _outline(smooth, max(part * peak, 5.0 * noise, 0.02), near)
+        shape = None if outline is None else ellipse.fit_ellipse(outline)
+        if outline is None or shape is None:
+            continue
+        scatter = float(np.sqrt(np.mean((shape.radii(outline) - 1.0) ** 2)))
+        # Shadows on a label make the outline of a low threshold ragged; elsewhere the one nearest to white is kept.
+        if best is None or scatter < 0.8 * best[0]:
+            best = (scatter, shape)
+        if scatter < PROFILE.outline_scatter:
+            break
+    if best is None:
+        return None
+    shape = best[1]
+    return ProfileFrame(shape.x_px, shape.y_px, shape.semi_major_px, shape.semi_minor_px, shape.angle_rad)
+
+
+def _outline(smooth: FloatArray, threshold: float, near: tuple[float, float]) -> FloatArray | None:
+    """(n, 2) outline of the dark region that is most likely the target; None where nothing is dark."""
+    labels, count = ndimage.label(smooth > threshold)
     if not count:
         return None
     sums = ndimage.sum_labels(smooth, labels, np.arange(1, count + 1))
@@ -93,10 +113,7 @@ def rapid_estimate(dark: FloatArray, near: tuple[float, float]) -> ProfileFrame 
     away = np.hypot(*(centres - near).T)
     region = ndimage.binary_fill_holes(labels == 1 + int(np.argmax(sums / (1.0 + away / 10.0) ** 2)))
     y, x = np.nonzero(region & ~ndimage.binary_erosion(region))
-    shape = ellipse.fit_ellipse(np.stack([x, y], axis=1).astype(np.float64))
-    if shape is None:
-        return None
-    return ProfileFrame(shape.x_px, shape.y_px, shape.semi_major_px, shape.semi_minor_px, shape.angle_rad)
+    return np.stack([x, y], axis=1).astype(np.float64)
 
 
 def find_ends(dark: FloatArray, profile_frame: ProfileFrame, count: int) -> PathEnds | None:
