@@ -11,7 +11,6 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -29,6 +28,9 @@ from labdaemon.stream.unread import LARGE_BYTES, UnreadAnswers
 
 Handler = Callable[[dict[str, Any]], Awaitable[Any]]
 """Takes the params, returns the result, raises a `LabdaemonError`."""
+
+Envelope = tuple[bytes, ...]
+"""Frames that an answer begins with: the client's identity, and a REQ's delimiter."""
 
 IDEMPOTENT = frozenset({"campaign.submit", "capture"})
 """Commands that take a ``request_id``."""
@@ -69,27 +71,6 @@ class MemoryRequests:
         self._results.setdefault(request_id, result)
 
 
-@dataclass(frozen=True, slots=True)
-class Sender:
-    """Who asked.
-
-    Attributes
-    ----------
-    envelope
-        Frames that an answer begins with: the client's identity, and a REQ's delimiter.
-    connection
-        Which connection it came by: libzmq's descriptor.
-    """
-
-    envelope: tuple[bytes, ...]
-    connection: int
-
-    @property
-    def client(self) -> bytes:
-        """The client's identity."""
-        return self.envelope[0]
-
-
 class CommandServer:
     """The commands socket.
 
@@ -110,7 +91,6 @@ class CommandServer:
         self._in_progress: dict[str, asyncio.Future[Any]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._of_client: Counter[bytes] = Counter()
-        self._connections: dict[bytes, int] = {}
         self._large: set[asyncio.Task[None]] = set()
         self._unread = UnreadAnswers()
         self._turn = asyncio.Lock()
@@ -160,89 +140,84 @@ class CommandServer:
     async def _receive(self, frames: list[zmq.Frame]) -> None:
         """Read one message and start on it. Its envelope (a REQ has an empty delimiter) is mirrored."""
         parts = [frame.bytes for frame in frames[:4]]
-        envelope = parts[:2] if len(parts) > 2 and not parts[1] else parts[:1]
+        envelope = tuple(parts[:2] if len(parts) > 2 and not parts[1] else parts[:1])
         body = parts[len(envelope) :]
-        sender = Sender(tuple(envelope), int(frames[-1].get(zmq.SRCFD)))
         if len(body) == 1 and len(body[0]) > INLINE_BYTES:
-            if self._is_full(sender):
-                await self._reply(sender, messages.error_bytes(messages.BUSY, TOO_MANY, None))
+            if self._is_full(envelope):
+                await self._reply(envelope, messages.error_bytes(messages.BUSY, TOO_MANY, None))
             else:
-                self._start(sender, self._parse_and_answer(sender, body[0]))
+                self._start(envelope, self._parse_and_answer(envelope, body[0]))
             return
         try:
             if len(body) != 1:
                 raise BadRequest(messages.INVALID_REQUEST, "a request is one frame")
             request = messages.parse_request(body[0])
         except BadRequest as exc:
-            await self._reply(sender, messages.error_bytes(exc.code, str(exc), exc.id))
+            await self._reply(envelope, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        if self._is_full(sender, request.method in LARGE) and request.method not in ALWAYS:
-            await self._reply(sender, messages.error_bytes(messages.BUSY, TOO_MANY, request.id))
+        if self._is_full(envelope, request.method in LARGE) and request.method not in ALWAYS:
+            await self._reply(envelope, messages.error_bytes(messages.BUSY, TOO_MANY, request.id))
             return
-        self._start(sender, self._answer(sender, request), is_large=request.method in LARGE)
+        self._start(envelope, self._answer(envelope, request), is_large=request.method in LARGE)
 
-    def _is_full(self, sender: Sender, is_large: bool = False) -> bool:
+    def _is_full(self, envelope: Envelope, is_large: bool = False) -> bool:
         """Whether a command has no place. Those with large answers may wait long, and take no other's."""
         queued = len(self._large) if is_large else len(self._tasks) - len(self._large)
-        return queued >= MAX_IN_PROGRESS or self._of_client[sender.client] >= MAX_OF_ONE
+        return queued >= MAX_IN_PROGRESS or self._of_client[envelope[0]] >= MAX_OF_ONE
 
-    def _start(self, sender: Sender, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
+    def _start(self, envelope: Envelope, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         if is_large:
             self._large.add(task)
-        self._of_client[sender.client] += 1
-        self._connections[sender.client] = sender.connection
-        task.add_done_callback(partial(self._forget, sender.client))
+        self._of_client[envelope[0]] += 1
+        task.add_done_callback(partial(self._forget, envelope[0]))
 
     def _forget(self, client: bytes, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         self._large.discard(task)
         self._of_client[client] -= 1
         if not self._of_client[client]:
-            del self._of_client[client], self._connections[client]
+            del self._of_client[client]
         if not task.cancelled() and task.exception() is not None:
             log.error("an answer could not be sent", exc_info=task.exception())
 
-    async def _parse_and_answer(self, sender: Sender, body: bytes) -> None:
+    async def _parse_and_answer(self, envelope: Envelope, body: bytes) -> None:
         """A long request, a campaign most likely: parsed off the event loop."""
         try:
             request = await off_loop(messages.parse_request, body)
         except BadRequest as exc:
-            await self._reply(sender, messages.error_bytes(exc.code, str(exc), exc.id))
+            await self._reply(envelope, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        await self._answer(sender, request)
+        await self._answer(envelope, request)
 
-    async def _answer(self, sender: Sender, request: Request) -> None:
+    async def _answer(self, envelope: Envelope, request: Request) -> None:
         if request.method not in LARGE:
-            await self._reply_to(sender, request, await self._outcome(request))
+            await self._reply_to(envelope, request, await self._outcome(request))
             return
         while True:
-            if not await self._unread.wait_for_room(sender.client):
+            if not await self._unread.wait_for_room(envelope[0]):
                 busy = messages.error_bytes(messages.BUSY, "read the earlier answers first; try again", request.id)
-                await self._reply_to(sender, request, busy)
+                await self._reply_to(envelope, request, busy)
                 return
             async with self._turn:
-                if self._unread.has_room(sender.client):  # another answer of this client may have taken it meanwhile
-                    await self._reply_to(sender, request, await self._outcome(request))
+                if self._unread.has_room(envelope[0]):  # another answer of this client may have taken it meanwhile
+                    await self._reply_to(envelope, request, await self._outcome(request))
                     return
 
-    async def _reply_to(self, sender: Sender, request: Request, answer: bytes) -> None:
+    async def _reply_to(self, envelope: Envelope, request: Request, answer: bytes) -> None:
         if not request.is_notification:
-            await self._reply(sender, answer)
+            await self._reply(envelope, answer)
 
-    async def _reply(self, sender: Sender, answer: bytes) -> None:
-        """Send an answer to who asked, unless another client has taken its identity meanwhile."""
-        if self._connections.get(sender.client, sender.connection) != sender.connection:
-            return
+    async def _reply(self, envelope: Envelope, answer: bytes) -> None:
         if len(answer) < LARGE_BYTES:
-            await self._bound.send_multipart([*sender.envelope, answer])
+            await self._bound.send_multipart([*envelope, answer])
             return
         # Not copied, and tracked: libzmq holds it until the peer has read, and what one may make it hold is bounded.
-        parts = [*sender.envelope, zmq.Frame(answer, track=True)]
+        parts = [*envelope, zmq.Frame(answer, track=True)]
         tracker = await self._bound.send_multipart(parts, copy=False, track=True)
         if tracker is not None:
-            self._unread.add(sender.client, len(answer), tracker)
+            self._unread.add(envelope[0], len(answer), tracker)
 
     @property
     def _bound(self) -> zmq.asyncio.Socket:

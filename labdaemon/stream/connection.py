@@ -24,7 +24,7 @@ class Pipe:
     source, target
         Non-blocking sockets.
     inspect
-        Looks at the bytes first.
+        Looks at the bytes first, and returns those to be moved.
     on_end
         Called once with why there is nothing more to move: the source has ended, or one of them failed.
     """
@@ -33,7 +33,7 @@ class Pipe:
         self,
         source: socket.socket,
         target: socket.socket,
-        inspect: Callable[[bytes], None],
+        inspect: Callable[[bytes], bytes],
         on_end: Callable[[str], None],
     ) -> None:
         self._loop = asyncio.get_running_loop()
@@ -94,11 +94,11 @@ class Pipe:
             self._end("")
             return
         try:
-            self._inspect(data)
+            data = self._inspect(data)
         except PeerRefusal as exc:
             self._end(str(exc))
             return
-        if not self._has_ended:
+        if data and not self._has_ended:
             self.put(data)
 
     def _write(self) -> None:
@@ -147,6 +147,8 @@ class Connection:
     ----------
     accepted_s, active_s
         When it came, and when bytes last moved, on the monotonic clock.
+    is_waiting
+        It has sent a message and got nothing since: it may wait for an answer.
     """
 
     def __init__(
@@ -164,6 +166,7 @@ class Connection:
         self._tokens = float(limits.burst_bytes)
         self._resume: asyncio.TimerHandle | None = None
         self.accepted_s = self.active_s = self._seen_s = time.monotonic()
+        self.is_waiting = False
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(peer, self._read_signature)
 
@@ -204,9 +207,8 @@ class Connection:
         if not data:
             self.close()
             return
-        self._first += data
         try:
-            self._seen(data)
+            self._first += self._seen(data)
             if not self._inspector.is_peer:
                 return
             self._inner = self._connect()
@@ -222,12 +224,16 @@ class Connection:
         inward.start()
         outward.start()
 
-    def _sent(self, data: bytes) -> None:
+    def _sent(self, data: bytes) -> bytes:
         self.active_s = time.monotonic()
+        self.is_waiting = False
+        return data
 
-    def _seen(self, data: bytes) -> None:
+    def _seen(self, data: bytes) -> bytes:
         now_s = time.monotonic()
-        self._inspector.feed(data)
+        messages = self._inspector.messages
+        passed = self._inspector.feed(data)
+        self.is_waiting = self.is_waiting or self._inspector.messages > messages
         if self._limits.bytes_per_s is not None:
             self._tokens += (now_s - self._seen_s) * self._limits.bytes_per_s
             self._tokens = min(self._tokens, self._limits.burst_bytes) - len(data)
@@ -235,6 +241,7 @@ class Connection:
                 self._pipes[0].hold()
                 self._resume = self._loop.call_later(-self._tokens / self._limits.bytes_per_s, self._read_again)
         self.active_s = self._seen_s = now_s
+        return passed
 
     def _read_again(self) -> None:
         self._resume = None

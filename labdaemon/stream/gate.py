@@ -19,7 +19,8 @@ import uuid
 from labdaemon.stream.connection import NOT_NOW, Connection
 from labdaemon.stream.zmtp import PeerLimits
 
-BACKLOG = 256
+BACKLOG = 4096
+"""Newcomers that wait in the system's queue; it may grant fewer."""
 RESERVED = 320
 """Descriptors that are left to devices, journal, frames and workers."""
 MOST_PEERS = 200
@@ -29,12 +30,16 @@ DESCRIPTORS_A_PEER = 3
 """Its TCP socket, and both ends of its connection to libzmq."""
 HANDSHAKE_S = 5.0
 """A peer that has not said hello by then is none."""
-IDLE_S = 5.0
-"""A peer of the commands socket that was silent for so long gives its place to a newcomer when all are taken."""
+HELLO_S = 0.5
+"""When all places are taken, it has to say hello within this time."""
+IDLE_S = 0.3
+WAITS_S = 60.0
+"""A peer of the commands socket that was silent for so long gives its place to a newcomer when all are taken; one that
+may wait for an answer keeps it for longer."""
 CROWD_AT_A_TIME = 8
-CROWD_PAUSE_S = 0.1
-"""When all places are taken, newcomers are looked at so many at a time, and then not for a while: thousands of clients
-that are turned away come back ten times a second each."""
+CROWD_PAUSE_S = 0.02
+"""When all places are taken, so many newcomers are let in at a time, and then none for a while. Thousands of leaked
+clients come back ten times a second each; an operator's turn among them comes within seconds."""
 EXHAUSTED_PAUSE_S = 0.5
 LOG_EVERY_S = 60.0
 
@@ -118,6 +123,10 @@ class Gate:
 
     def _accept(self) -> None:
         for _ in range(CROWD_AT_A_TIME):
+            is_full = len(self._connections) >= self._most
+            victim = self._least_missed() if is_full else None
+            if is_full and victim is None and self._evicts_idle:
+                break  # newcomers wait in the system's queue: a client that is turned away comes back at once
             try:
                 peer, _ = self._listener.accept()
             except NOT_NOW:
@@ -127,12 +136,14 @@ class Gate:
                 if exc.errno in {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}:
                     self._pause(EXHAUSTED_PAUSE_S)
                 return
+            if victim is not None:
+                victim.close("its place was needed")
             self._let_in(peer)
         if len(self._connections) >= self._most:
             self._pause(CROWD_PAUSE_S)
 
     def _let_in(self, peer: socket.socket) -> None:
-        if len(self._connections) >= self._most and not self._make_room():
+        if len(self._connections) >= self._most:
             peer.close()
             self._note(f"all {self._most} places are taken")
             return
@@ -145,16 +156,16 @@ class Gate:
             return
         self._connections.append(Connection(peer, self._limits, self._connect, self._forget))
 
-    def _make_room(self) -> bool:
-        """End the connection that is missed least; False where none can go."""
+    def _least_missed(self) -> Connection | None:
+        """The connection that may give its place to another: the longest silent of those that wait for nothing."""
         now_s = time.monotonic()
-        silent = [connection for connection in self._connections if not connection.is_ready]
+        strangers = [connection for connection in self._connections if not connection.is_ready]
+        silent = [connection for connection in strangers if now_s - connection.accepted_s > HELLO_S]
         if not silent and self._evicts_idle:
-            silent = [connection for connection in self._connections if now_s - connection.active_s > IDLE_S]
-        if not silent:
-            return False
-        min(silent, key=lambda connection: connection.active_s).close("its place was needed")
-        return True
+            idle = [connection for connection in self._connections if now_s - connection.active_s > IDLE_S]
+            silent = [connection for connection in idle if not connection.is_waiting]
+            silent = silent or [one for one in idle if now_s - one.active_s > WAITS_S]
+        return min(silent, key=lambda connection: connection.active_s, default=None)
 
     def _connect(self) -> socket.socket:
         """To libzmq, which accepts at once or is full."""

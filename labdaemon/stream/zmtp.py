@@ -17,6 +17,8 @@ FRAME_COST = 64
 """What libzmq keeps for a frame in addition to its bytes."""
 PREFIX_BYTES = 10
 """Enough of a frame's body to see a subscription in it."""
+IDENTITY, NO_IDENTITY = b"\x08Identity", b"\x08X-Origin"
+"""A property of a client's first command, and one of the same length that libzmq does not know."""
 HANDSHAKE_BYTES = 4096
 """The longest command of a handshake; CURVE's have some hundred bytes and a socket's properties."""
 
@@ -60,11 +62,14 @@ class PeerInspector:
         It began as a peer begins.
     is_ready
         Its part of the handshake has come.
+    messages
+        How many have come since.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
         self._limits = limits
         self.is_peer = self.is_ready = False
+        self.messages = 0
         self._greeting = b""
         self._header = b""
         self._flags = 0
@@ -72,9 +77,14 @@ class PeerInspector:
         self._prefix = b""
         self._message_bytes = 0
         self._topics = 0
+        self._hello = b""
+        self._unpassed = GREETING_BYTES
 
-    def feed(self, data: bytes) -> None:
-        """Look at the next bytes.
+    def feed(self, data: bytes) -> bytes:
+        """Look at the next bytes; what of them, and of earlier ones, is to be passed on now.
+
+        The identity that a client gives itself is not: two clients with one identity would get one another's answers,
+        or libzmq would serve the first one only, which may be dead without a trace. An encrypted one passes.
 
         Raises
         ------
@@ -82,6 +92,7 @@ class PeerInspector:
             They are none of a peer's, or too many.
         """
         at = 0
+        was_ready = self.is_ready
         if len(self._greeting) < GREETING_BYTES:
             at = GREETING_BYTES - len(self._greeting)
             self._greeting += data[:at]
@@ -101,6 +112,16 @@ class PeerInspector:
             at += 1
             if len(self._header) == (9 if self._header[0] & LONG else 2):
                 self._begin_frame()
+        if was_ready:
+            return data
+        self._hello += data
+        if self.is_ready:
+            hello, self._hello = self._hello.replace(IDENTITY, NO_IDENTITY, 1), b""
+            return hello
+        # What has come of the greeting; the command after it waits until it is whole.
+        passed, self._hello = self._hello[: self._unpassed], self._hello[self._unpassed :]
+        self._unpassed -= len(passed)
+        return passed
 
     def _check_greeting(self) -> None:
         seen = self._greeting
@@ -127,6 +148,7 @@ class PeerInspector:
     def _end_frame(self) -> None:
         if not self._flags & MORE:
             self._message_bytes = 0
+        self.messages += self.is_ready and not self._flags & (MORE | COMMAND)
         if not self.is_ready:
             self.is_ready = True
         elif self._limits.topics is not None:

@@ -55,6 +55,7 @@ async def labs(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Callable[..., L
     """Starts one on the given addresses."""
     monkeypatch.setattr(gate, "MOST_PEERS", 8)
     monkeypatch.setattr(gate, "CROWD_PAUSE_S", 0.01)
+    monkeypatch.setattr(gate, "HELLO_S", 0.1)
     started: list[tuple[Lab, list[asyncio.Task[None]]]] = []
 
     def start(*addresses: str) -> Lab:

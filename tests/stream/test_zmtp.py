@@ -67,6 +67,17 @@ def test_cuts_make_no_difference(name: str, data: st.DataObject):
     assert outcome(sent, cuts) == expected
 
 
+@given(st.lists(st.integers(0, 400), max_size=6))
+def test_the_identity_is_taken_out_and_nothing_else_changes(cuts: list[int]):
+    hello = frame(b"\x05READY\x0bSocket-Type\0\0\0\x06DEALER\x08Identity\0\0\0\x02me", COMMAND)
+    sent = GREETING + hello + frame(b"\x08Identity" * 5) * 5
+    inspector, passed = PeerInspector(LIMITS), b""
+    cuts = sorted(min(cut, len(sent)) for cut in cuts)
+    for begin, end in zip([0, *cuts], [*cuts, len(sent)], strict=True):
+        passed += inspector.feed(sent[begin:end])
+    assert passed == sent.replace(b"Identity", b"X-Origin", 1)
+
+
 @given(st.binary(max_size=300))
 def test_any_bytes_are_a_peers_or_refused(data: bytes):
     assert outcome(HELLO + data, [])
