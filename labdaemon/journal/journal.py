@@ -20,6 +20,7 @@ from labdaemon.durable import knows_sync, sync_folder
 from labdaemon.journal.event import Event, EventText, event_text, within
 from labdaemon.journal.schema import APPLICATION_ID, CARD_TABLES, LATER_INDEX, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
+from labdaemon.plain_json import dump_json, plain_text
 
 FILE_NAME = "journal.db"
 
@@ -46,13 +47,14 @@ class Transaction:
 
     def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
         """Run one statement."""
-        return self._connection.execute(sql, values)
+        return self._connection.execute(sql, _storable(values))
 
     def emit(self, kind: str, campaign: str | None, data: dict[str, Any]) -> int:
         """Append an event and return its `seq`, one more than the last one's."""
         self.last_seq += 1
-        text = json.dumps(data, allow_nan=False, separators=(",", ":"))
-        self.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, text)
+        self.execute(
+            "INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, dump_json(data)
+        )
         return self.last_seq
 
 
@@ -143,7 +145,7 @@ class Journal:
         """Rows of what is committed."""
         with self._read_lock:
             try:
-                return self._reader.execute(sql, values).fetchall()
+                return self._reader.execute(sql, _storable(values)).fetchall()
             except sqlite3.Error as exc:
                 raise as_data_error(exc, self.path) from exc
 
@@ -284,6 +286,11 @@ class Journal:
             self._writer.execute("INSERT INTO meta VALUES ('created_at', ?)", (rfc3339(self._clock.now()),))
             self._writer.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             self._writer.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def _storable(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Values as the database takes them: a file name that is no UTF-8 must not end what writes it down."""
+    return tuple(plain_text(value) if isinstance(value, str) else value for value in values)
 
 
 def set_aside(path: Path, at: str) -> Path:

@@ -16,6 +16,7 @@ import zmq.asyncio
 
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.journal.event import EventText
+from labdaemon.plain_json import dump_json
 from labdaemon.stream.gate import Gate
 from labdaemon.stream.messages import InvalidParams, RawJson
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
@@ -139,9 +140,7 @@ class EventPublisher:
             "journal": self._outbox.uuid,
             "data": data,
         }
-        await self._bound.send_multipart(
-            [b"status", json.dumps(message, allow_nan=False, separators=(",", ":")).encode()]
-        )
+        await self._bound.send_multipart([b"status", dump_json(message).encode()])
 
     async def _greet(self) -> None:
         """Answer each new subscription with a status, so that a client knows at once where the history stands."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from labdaemon.errors import ConfigError, DeviceError, InterlockError, LabdaemonError, LimitError, UsageError
+from labdaemon.plain_json import dump_json
 from labdaemon.stream.text_limits import is_text, parse_json, shown, surrogate_in
 
 PARSE_ERROR = -32700
@@ -183,14 +184,13 @@ def result_bytes(result: Any, request_id: RequestId) -> bytes:
     """
     if isinstance(result, RawJson):
         return b'{"jsonrpc":"2.0","id":' + json.dumps(request_id).encode() + b',"result":' + result.text + b"}"
-    document = {"jsonrpc": "2.0", "id": request_id, "result": result}
-    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return dump_json({"jsonrpc": "2.0", "id": request_id, "result": result}).encode()
 
 
 def error_bytes(code: int, message: str, request_id: RequestId, **data: Any) -> bytes:
     """The answer to a command that was not done; `data` goes beside the code's name."""
     error = {"code": code, "message": message, "data": {"name": NAMES.get(code, "error"), **data}}
-    return json.dumps({"jsonrpc": "2.0", "id": request_id, "error": error}, separators=(",", ":")).encode()
+    return dump_json({"jsonrpc": "2.0", "id": request_id, "error": error}).encode()
 
 
 def code_of(error: LabdaemonError) -> int:
