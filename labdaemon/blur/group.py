@@ -17,10 +17,12 @@ from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
 from labdaemon.blur.smear.uncertainty import quality_flags
+from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
 
+@flag_unsolvable
 def measure_group(
     sharp: SharpTarget,
     patches: Sequence[Patch],

@@ -15,10 +15,12 @@ from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
+from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.blur.waveform import MotionWaveform
 from labdaemon.flags import Flag
 
 
+@flag_unsolvable
 def measure(
     sharp: SharpTarget,
     patch: Patch,

@@ -20,6 +20,7 @@ from labdaemon.blur import (
 )
 from labdaemon.blur.fit.refit import failure_flags
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
+from labdaemon.blur.unsolvable import solved
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motion
@@ -315,5 +316,6 @@ def _by_paper(camera: PreparedCamera, looks: Sequence[_Look]) -> list[Measuremen
             continue
         blurred = _cut(looks[0].frame, target, smear)
         named = replace(dot, name=target.name)
-        found.append(measure_mccarthy2016(sharp, named, blurred, start_px=smear.centre_px))
+        one = solved(measure_mccarthy2016)(sharp, named, blurred, start_px=smear.centre_px)
+        found.append(one if one is not None else replace(nothing(target), flags=frozenset({Flag.POOR_FIT})))
     return found

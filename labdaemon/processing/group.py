@@ -40,7 +40,11 @@ def mean_of(measured: Sequence[Measurement]) -> Measurement:
         Axes are turned to point the same way before they are averaged; flags are those of the frames used, `at_rest`
         only where it is at rest in all.
     """
-    usable = [one for one in measured if np.isfinite([*one.centre_px, *one.a_px, *one.b_px]).all()]
+    usable = [
+        one
+        for one in measured
+        if np.isfinite([*one.centre_px, *one.a_px, *one.b_px]).all() and np.isfinite(one.covariance_px2).all()
+    ]
     if not usable:
         return measured[0]
     first = usable[0]

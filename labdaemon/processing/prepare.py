@@ -11,6 +11,7 @@ import numpy as np
 from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, make_textured_patch
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import TEXTURE_MAP
+from labdaemon.blur.unsolvable import solved
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
@@ -177,8 +178,8 @@ def prepare_frames(
             f"no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed{cause}",
             file=file,
         )
-    fitted = [(dot, _fit(dot, frames)) for dot in dots]
-    usable = _all_in_doubt([(dot, target) for dot, target in fitted if target.usable])
+    fitted = [(dot, solved(_fit)(dot, frames)) for dot in dots]
+    usable = _all_in_doubt([(dot, target) for dot, target in fitted if target is not None and target.usable])
     if not usable:
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
     plain = [Sought(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]

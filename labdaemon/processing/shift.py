@@ -9,6 +9,7 @@ import numpy as np
 
 from labdaemon.blur import Defocus, InitialGuess, Patch, StaticMeasurement, estimate_frame_defocus, measure_static
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.unsolvable import solved
 from labdaemon.errors import DataError
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.processing.control import ControlTargets, read_places
@@ -74,9 +75,10 @@ def frame_shift(frame: RawFrame, grey: Look, control: ControlTargets) -> FrameSh
     for target, start in zip(control.sharp, starts, strict=True):
         if start is None:
             continue
-        still = measure_static(
-            target, _around(frame, target.form.half_size_px, start), initial_guess=InitialGuess(start)
-        )
+        patch = _around(frame, target.form.half_size_px, start)
+        still = solved(measure_static)(target, patch, initial_guess=InitialGuess(start))
+        if still is None:
+            continue
         if np.isfinite(still.covariance_px2).all() and np.isfinite([*still.shift_px, still.defocus_px2]).all():
             stills.append(still)
     if not stills:

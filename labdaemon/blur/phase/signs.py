@@ -28,6 +28,7 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import prepare_fit
 from labdaemon.blur.smear.frame_set import FrameSet
+from labdaemon.blur.unsolvable import solved
 
 PHASE_SPREADS_RAD = np.radians(SIGNS.phase_spreads_deg)
 """How far from the common phase the targets of a nearly in-phase motion may be: standard deviations to choose from."""
@@ -109,7 +110,7 @@ def find_relative_signs(
     """
     guesses = match_guesses(sharps, patches, initial_guesses)
     likelihoods = [
-        phase_likelihood(sharp, patch, window, defocus, initial_guess)
+        solved(phase_likelihood)(sharp, patch, window, defocus, initial_guess)
         for sharp, patch, initial_guess in zip(sharps, patches, guesses, strict=True)
     ]
     return combine_likelihoods(likelihoods, window)

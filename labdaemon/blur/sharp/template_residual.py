@@ -181,8 +181,9 @@ def trusted_pixels(
         The dot's.
     """
     height, width = patch.shape
-    reach_y = int(np.ceil(np.hypot(a_px[1], b_px[1]))) + 2
-    reach_x = int(np.ceil(np.hypot(a_px[0], b_px[0]))) + 2
+    # A path that has run away reaches no further than all of the patch.
+    reach_y = int(min(np.ceil(np.hypot(a_px[1], b_px[1])), height)) + 2
+    reach_x = int(min(np.ceil(np.hypot(a_px[0], b_px[0])), width)) + 2
     move = np.rint(place_px - template_residual.centre_px - np.asarray(patch.origin_px)).astype(int)  # array to patch
     pad_y, pad_x = height + 2 * reach_y, width + 2 * reach_x
     fill = "constant" if template_residual.is_strong else "edge"

@@ -60,7 +60,9 @@ class PaperTextureMap:
         height, width = shape
         move = centre_px - self.centre_px
         whole = np.rint(move).astype(int)
-        pad_x, pad_y = (int(np.ceil(np.sqrt(max(v, 0.0)))) + 2 for v in moment_px2[[0, 2]])
+        # A path that has run away is cut at the patch's own size: its light is no evidence either way.
+        reach = np.minimum(np.ceil(np.sqrt(np.maximum(moment_px2[[0, 2]], 0.0))), max(shape))
+        pad_x, pad_y = (int(v) + 2 for v in reach)
         # Everything that can have come into the patch.
         around = (height + 2 * pad_y, width + 2 * pad_x)
         part = self._crop_map(-pad_x - whole[0], -pad_y - whole[1], around)
