@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import tomllib
+from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +14,8 @@ import pytest
 from labdaemon.campaign.fakes import FakeLab
 from labdaemon.campaign.manual_request import CaptureRequest, capture_name, is_group_name, safe_name
 from labdaemon.campaign.table_motion import TableMotion, contradiction
+from labdaemon.capture.fakes import fake_rig
+from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.stream.messages import InvalidParams
 
@@ -299,3 +303,28 @@ def test_stored_manual_captures_are_measured_after_a_restart(simulate):
         assert again.name == "manual-000003-before"
 
     simulate(scenario)
+
+
+def test_without_a_shaker_the_box_sees_outside_releases_between_captures_of_ours(tmp_path: Path):
+    clock = SimulatedClock()
+    rig = fake_rig(clock)
+    rig.rig = replace(rig.rig, shaker=None)
+
+    async def scenario() -> None:
+        lab = FakeLab(tmp_path, clock, rig=rig)
+        lab.start()
+        await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        await lab.clock.sleep(10.0)
+        lab.fake.trigger.edge(1.0)
+        await lab.clock.sleep(10.0)
+        await lab.engine.capture(CaptureRequest("ours"))
+        await lab.clock.sleep(10.0)
+        lab.fake.trigger.edge(1.0)
+        await lab.clock.sleep(20.0)
+        labels = [(event["label"], event["phase_rad"]) for event in events(lab, "capture.completed")]
+        assert labels == [("rest", None), ("outside", 0.5), ("ours", None), ("outside", 0.5)]
+        assert len(events(lab, "envelope")) == 3
+        assert events(lab, "fault") == []
+        await lab.kill()
+
+    clock.run(scenario())
