@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -139,10 +139,13 @@ class Engine:
         if self.control.tripped is not None or not (self.control.is_walking or self.lab.table.excitation):
             return
         log.error("interlock: %s", error)
-        task = asyncio.create_task(self._stop_table())
+        self._start(self._stop_table())
+        self.control.trip(error)
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
         self._stops.add(task)
         task.add_done_callback(self._stops.discard)
-        self.control.trip(error)
 
     async def submit(self, plan: Plan, request_id: str | None = None) -> str:
         """Queue a checked campaign; its id, once it is in the journal."""
@@ -177,7 +180,7 @@ class Engine:
         if plan.digest != record.digest:
             if not accept_changed_rig:
                 raise WrongState(f"{record.id}: {CHANGED_RIG}")
-            await self._accept(record, plan)
+            await self.files.accept(record, plan.digest)
         if not await self._move(record, "running", **_outline(plan)):
             raise WrongState(f"campaign {record.id} has just ended")
         self.control.clear()
@@ -272,7 +275,7 @@ class Engine:
             self.plan = plan = await self.lab.recorder.aside(self._planner, record.toml)
             if plan.digest != record.digest and record.state != "paused":
                 if self.policy.accept_changed_rig:
-                    await self._accept(record, plan)
+                    await self.files.accept(record, plan.digest)
                 else:
                     await self._move(record, "paused", CHANGED_RIG)
                     self.control.clear("pause")
@@ -288,11 +291,6 @@ class Engine:
             self.control.clear()
         finally:
             self.current = self.plan = self.step = None
-
-    async def _accept(self, record: CampaignRecord, plan: Plan) -> None:
-        """Go on under a changed rig: what is measured from now on is measured with it, by us and by `process`."""
-        await self.lab.recorder.write(transitions.accept_digest, record.id, plan.digest)
-        await self.files.accept(record)
 
     async def _walk(self, record: CampaignRecord, plan: Plan, guard: asyncio.Task[None]) -> None:
         known = records.steps(self.lab.recorder.journal, record.id)
@@ -372,8 +370,15 @@ class Engine:
         """An envelope is out: keep its largest motion for status, and judge it."""
         self.largest = largest_motion(rows)
         reason = envelope_reason(self.limits, rows)
-        if reason is not None:
-            self.trip(InterlockError(f"{name}: {reason}"))
+        if reason is None:
+            return
+        error = InterlockError(f"{name}: {reason}")
+        if self.control.is_walking or self.lab.table.excitation is not None:
+            self.trip(error)
+            return
+        if self.current is not None and self.control.wish == "go":
+            self.control.want("pause", str(error))  # nor does a next campaign move it before a person has looked
+        self._start(self._fault(error, "pause"))
 
     async def _fault(self, exc: LabdaemonError, action: str) -> None:
         campaign = self.current.id if self.current is not None else None

@@ -13,6 +13,7 @@ from labdaemon.capture.places import campaign_folder
 from labdaemon.capture.recorder import Recorder
 from labdaemon.durable import move_durably, write_durably
 from labdaemon.errors import StorageError
+from labdaemon.journal import transitions
 from labdaemon.journal.records import CampaignRecord
 from labdaemon.journal.storage import JournalError
 
@@ -74,14 +75,17 @@ class CampaignFiles:
         except StorageError:
             return  # they are written when it ends in any case, and that failure is reported
 
-    async def accept(self, record: CampaignRecord) -> None:
-        """The rig as it is now, for a campaign that was planned for another; waits while the disk takes nothing.
+    async def accept(self, record: CampaignRecord, digest: str) -> None:
+        """Take the rig as it is now, for a campaign that was planned for another: by us and by `process`.
+
+        Waits while the disk takes nothing.
 
         Raises
         ------
         StorageError
             The folder refuses the files.
         """
+        await self.recorder.write(transitions.accept_digest, record.id, digest)
         await self.reporter.patiently(lambda: self.recorder.on_disk(renew_folder, self.data, record.id, self.files))
 
     async def close(self, record: CampaignRecord) -> StorageError | None:

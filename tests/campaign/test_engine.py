@@ -348,6 +348,25 @@ def test_blur_at_the_papers_edge_stops_the_table(simulate):
     simulate(scenario)
 
 
+def test_an_envelope_that_comes_when_the_table_rests_holds_the_campaign_and_the_next_one(simulate):
+    async def scenario(lab: FakeLab):
+        lab.measurer.measure_s, lab.measurer.amplitude_mm = 100.0, 7.0
+        id = await lab.submit(RETRY.replace("[5.0, 8.0, 12.0]", "[5.0]").replace("[2.0, 1.0, 0.5]", "1.0"))
+        following = await lab.submit(RETRY)
+        record = await lab.until(id)
+        assert record.state == "paused"
+        assert "max_response_mm = 5" in (record.reason or "")
+        [fault] = [event for event in lab.journal.events_after(0, 1000) if event.kind == "fault"]
+        assert "moves 7 mm" in fault.data["message"]
+        await lab.clock.sleep(600.0)
+        assert (records.campaign(lab.journal, following) or record).state == "queued"
+        await lab.engine.resume()
+        assert (await lab.until(id, "completed", "paused")).state == "completed"
+        await lab.engine.abort(following)
+
+    simulate(scenario, limits=Limits(max_response_mm=5.0))
+
+
 @pytest.mark.parametrize(("attribute", "value"), [("battery_percent", 3), ("free_bytes", 1000)])
 def test_an_empty_battery_and_a_full_card_stop_the_table(simulate, attribute: str, value: int):
     async def scenario(lab: FakeLab):
