@@ -31,8 +31,8 @@ MOST_POLLS = 50
 SETTLE_S = 0.2
 """A size that the body said twice, so far apart, is believed for now; whoever fetches the file asks again."""
 
-MOST_ASKED = 5
-"""Times that an object is asked for which the body describes in a way that makes no sense."""
+MOST_ASKED = 20
+"""Times that an object is asked for whose description makes no sense: some bodies send no data at first."""
 
 OF_THE_SESSION = frozenset({Response.SESSION_NOT_OPEN, Response.BAD_TRANSACTION})
 """Refusals that are not about the object that was asked for."""
@@ -113,6 +113,9 @@ class FileWatch:
         for _ in range(len(self._candidates)):
             handle = self._candidates.popleft()
             file = self._look_at(handle)
+            if file is None and 0 < self._unreadable.get(handle, 0) < MOST_ASKED:
+                self._candidates.append(handle)  # what is kept in memory stands in no list, and comes up no more
+                continue
             if file is None or file in self.known:
                 continue
             if self._entries[handle].is_settled:

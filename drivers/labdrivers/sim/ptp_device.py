@@ -43,6 +43,8 @@ FAULTS = {
     "bad_dataset": "cuts its datasets short",
     "zero_size": "says 0 bytes the first `value` times (default 1) that it is asked about a file",
     "half_size": "announces a file `value` seconds (default 1) before it has written it, with half its size",
+    "huge_size": "says 4 GB the first `value` times (default 1) that it is asked about a file",
+    "empty_info": "describes a file with no data the first `value` times (default 1) that it is asked about it",
     "one_name": "gives every file the name DSC_0001, as after DSC_9999",
     "no_date": "gives its files no date",
     "clock_reset": "has a clock that stands at its reset value",
@@ -66,6 +68,9 @@ COMPANIONS = (
     (".MOV", 0x300D, b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + bytes(3000)),
 )
 """What bodies write with the RAW file under the same stem: ending, format, content."""
+
+EARLY_ANSWERS = {"zero_size": 0, "huge_size": 4_290_000_000, "empty_info": 0}
+"""Sizes that bodies say before they have written a file."""
 
 RESET_CLOCK = "20000101T000000"
 BROKEN_NAME = "\ud800../..\x07/DSC\udfff"
@@ -329,8 +334,12 @@ class PtpBody:
         if item.handle in self._broken:
             return _object_info(item, item.size_bytes)[:60]
         asked = self._asked[item.handle] = self._asked.get(item.handle, 0) + 1
-        is_early = self.faults.is_on("zero_size") and asked <= self.faults.value("zero_size", 1.0)
-        return _object_info(item, 0 if is_early and item.path is not None else self._size_now(item))
+        if item.path is None:
+            return _object_info(item, 0)
+        wrong = [name for name in EARLY_ANSWERS if self.faults.is_on(name) and asked <= self.faults.value(name, 1.0)]
+        if "empty_info" in wrong:
+            return b""
+        return _object_info(item, EARLY_ANSWERS[wrong[0]] if wrong else self._size_now(item))
 
     def _size_now(self, item: CardObject) -> int:
         """How much of a file is written by now."""
