@@ -129,7 +129,7 @@ class _Looked:
 
     @classmethod
     def at(cls, camera: PreparedCamera, frame: RawFrame) -> _Looked:
-        grey = frame.look()
+        grey = frame.lazy_grey()
         found = find_again(grey, camera.sought)
         blur = frame_shift(frame, grey, camera.control).defocus
         return cls(camera, frame, [smear for smear in found if smear is not None], blur)

@@ -12,7 +12,7 @@ from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments
 from labdaemon.imaging.frame import Grey
 
 REDUCED_RANGE_PX = (5.0, 26.0)
-"""Diameters looked for in each reduced picture."""
+"""Diameters looked for in each reduced image."""
 
 DARKER_THAN = (0.80, 0.60)
 """Thresholds, in parts of the surrounding brightness; both in square-root light."""
@@ -23,7 +23,7 @@ MIN_AXIS_RATIO = 0.2
 def find_blobs(grey: Grey, diameter_range_px: tuple[float, float]) -> list[Ellipse]:
     """Dark regions whose area and second moments are those of a filled ellipse.
 
-    The picture is reduced by powers of two so that every diameter is looked for at 5 to 26 reduced pixels. In each, a
+    The image is reduced by powers of two so that every diameter is looked for at 5 to 26 reduced pixels. In each, a
     morphological closing wider than the largest dot puts in place of every dark region the brightness around it; what
     is well below that is a candidate. Unlike a threshold from local means it is not misled by what lies beyond the
     paper.
@@ -57,7 +57,7 @@ def _at_scale(grey: Grey, factor: int, diameter_range_px: tuple[float, float]) -
         return []
     cut = grey[: height * factor, : width * factor]
     reduced = cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA) if factor > 1 else cut
-    # Square-root light in eight bits: photon noise is then even, and dark and bright paper are treated alike.
+    # Square-root light in eight bits: photon noise is then even, and dark and bright paper are treated equally.
     image = cv2.convertScaleAbs(cv2.sqrt(np.maximum(reduced, 0.0)), alpha=255.0)
     reach = int(min(REDUCED_RANGE_PX[1], diameter_range_px[1] / factor) * 1.25) // 2 * 2 + 3
     around = cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((reach, reach), dtype=np.uint8))

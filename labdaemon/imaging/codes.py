@@ -30,7 +30,7 @@ class Tag:
     centre_px
         (2,) intersection of the diagonals. On a lens with distortion use `centre_of` with the undistorted corners.
     corners_px
-        (4, 2) outer corners of the black square, clockwise in the picture from the tag's own top-left.
+        (4, 2) outer corners of the black square, clockwise in the image from the tag's own top-left.
     covariance_px2
         (8, 8) of the corners' x0, y0, x1 …; NaN where the sides could not be fitted and OpenCV's corners stay.
     """
@@ -133,7 +133,7 @@ def by_name(tags: Sequence[Tag], *, where: str = "the frame") -> dict[str, Tag]:
     Raises
     ------
     DataError
-        A name occurs twice: two prints of one tag in view, so neither can be told from the other.
+        A name occurs twice: two prints of one tag in view, so the two cannot be distinguished.
     """
     result: dict[str, Tag] = {}
     for tag in tags:

@@ -14,7 +14,7 @@ from labdaemon.blur.patch.ellipse import Ellipse
 from labdaemon.blur.patch.pixels import Dot
 from labdaemon.imaging.blobs import find_blobs
 from labdaemon.imaging.frame import Grey, RawFrame
-from labdaemon.imaging.margin import paper_extent
+from labdaemon.imaging.paper_extent import paper_extent
 
 FloatArray = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.errors import DataError
-from labdaemon.imaging.hot import isolated, within_neighbours
-from labdaemon.imaging.lazily import LazyPicture
+from labdaemon.imaging.hot_pixels import isolated, within_neighbours
+from labdaemon.imaging.lazy_image import LazyImage
 
 SATURATION_MARGIN = 0.01
 """Fraction of the range below white level from where on a pixel no longer counts as linear."""
@@ -188,10 +188,10 @@ class RawFrame:
         For finding things and drawing them; measurements are made on `patch`. Each channel is multiplied by its gain
         and the result clipped at 1, since beyond it some channel may have clipped.
         """
-        return self.look()[:, :]
+        return self.lazy_grey()[:, :]
 
-    def look(self) -> LazyPicture:
-        """The same picture as `grey`, made where it is looked at."""
+    def lazy_grey(self) -> LazyImage:
+        """The same image as `grey`, computed only where it is cut."""
         height, width = self.values.shape
         cells = self._cells()
         gains = self._gains(cells) if self.channels > 1 else np.ones(1)
@@ -223,7 +223,7 @@ class RawFrame:
                 out[row::period] *= scales[line, x0:x1]
             return np.minimum(out, 1.0, out=out)
 
-        return LazyPicture((height, width), make, sample)
+        return LazyImage((height, width), make, sample)
 
 
 def _tile(pattern: NDArray[T], x0: int, y0: int, w: int, h: int) -> NDArray[T]:

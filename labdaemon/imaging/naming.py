@@ -35,7 +35,7 @@ def match_names(
     Notes
     -----
     Pairs are chosen for the smallest sum of distances (Hungarian method), distances capped at twice `within_px`, so
-    that one missing target does not move its neighbours' names. Approximate places are often all off alike: the median
+    that one missing target does not move its neighbours' names. Approximate places often share one error: the median
     shift of the pairs is taken off and the choice made again.
     """
     projected, found = np.reshape(projected_px, (-1, 2)), np.reshape(found_px, (-1, 2))
@@ -68,7 +68,7 @@ def names_by_place(across: FloatArray, up: FloatArray, *, prefix: str = "T") -> 
     ----------
     across, up
         (n,) coordinates in which left, right, up and down are meant: x and z in object space (mm), or x and −y in a
-        single picture (px).
+        single image (px).
     prefix
         Put before the numbers, which have as many digits as the last one needs, two at least.
 

@@ -170,7 +170,7 @@ def _pattern(path: Path, raw: rawpy.RawPy) -> NDArray[np.uint8]:
 def _black(raw: rawpy.RawPy, tags: FileTags, pattern: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Black level from the file's own tags where it has them, else LibRaw's, one a channel.
 
-    LibRaw averages patterns larger than 2 x 2, and shifts odd margins to even ones without shifting the pattern.
+    LibRaw averages patterns larger than 2 x 2, and makes margins even without shifting the pattern.
     """
     sizes = raw.sizes
     if tags.black is not None:

@@ -53,7 +53,7 @@ OTHERS = (
     *(b"RIFF", b"OggS", b"ID3", b"fLaC", b"\0\0\1\xba", b"\0\0\1\xb3", b"\x1aE\xdf\xa3"),
     *(b"<?xml", b"<x:xmpmeta", b"<?xpacket", b"%PDF", b"PK\3\4"),
 )
-"""Pictures for looking at, sounds, films and notes, by their first bytes."""
+"""Images for display, sounds, films and notes, by their first bytes."""
 
 TIFF_MAGICS = {
     b"II*\0": "<",
@@ -105,7 +105,7 @@ class _Directory:
 
     @property
     def is_grey(self) -> bool:
-        """An ordinary picture of one channel, taken as linear."""
+        """An ordinary image of one channel, taken as linear."""
         return (
             self.first(PHOTOMETRIC) in GREY
             and self.first(SAMPLES, 1) == 1

@@ -25,7 +25,7 @@ from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motion
 from labdaemon.imaging.frame import RawFrame
-from labdaemon.imaging.lazily import LazyPicture
+from labdaemon.imaging.lazy_image import LazyImage
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.group import holds_phase, is_part, mean_of
 from labdaemon.processing.missing import expected_smears
@@ -134,7 +134,7 @@ def measure_raw(
     method: str = "fit",
 ) -> FrameResult:
     """Measure frames that are already read; otherwise as `measure_frames`."""
-    greys = [frame.look() for frame in frames]
+    greys = [frame.lazy_grey() for frame in frames]
     shifts = [frame_shift(frame, grey, camera.control) for frame, grey in zip(frames, greys, strict=True)]
     # First of all: a frame of another camera would only be searched in vain.
     motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
@@ -159,7 +159,7 @@ def measure_raw(
     )
 
 
-def _look(camera: PreparedCamera, frame: RawFrame, grey: LazyPicture, shift: FrameShift) -> _Look:
+def _look(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> _Look:
     if camera.thumbnails:
         smears: list[Smear | None] = []
         for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):

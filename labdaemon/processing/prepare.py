@@ -183,7 +183,7 @@ def prepare_frames(
     if not usable:
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
     plain = [Sought(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
-    contrast = measure_contrast(frame.look(), plain)
+    contrast = measure_contrast(frame.lazy_grey(), plain)
     return PreparedCamera(
         name,
         file,

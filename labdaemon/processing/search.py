@@ -16,8 +16,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.lazily import LazyPicture, Picture
-from labdaemon.processing.smears import Filter, Look, Smear, all_smears, best_smear, filters, reduce
+from labdaemon.imaging.lazy_image import GreyImage, LazyImage
+from labdaemon.processing.smears import Filter, GreyLike, Smear, all_smears, best_smear, filters, reduce
 
 LEAST_SCORE = 0.6
 """Correlation below which a place does not look like a dot. Real labels with a rim near the dot score 0.75 to 0.97."""
@@ -68,7 +68,7 @@ class Sought:
 class Reduced:
     """A grey picture made small enough to search, and how much."""
 
-    picture: LazyPicture
+    picture: LazyImage
     scale: int
 
     def shapes(self, target: Sought) -> tuple[Filter, ...]:
@@ -83,22 +83,22 @@ class Reduced:
         return filters(float(radius / stretch), float(radius * stretch), float(angle))
 
 
-def reduced_for(grey: Look, targets: Sequence[Sought]) -> Reduced:
+def reduced_for(grey: GreyLike, targets: Sequence[Sought]) -> Reduced:
     """Scale a picture to its own brightness and reduce it until the smallest dot is some seven pixels across."""
     scale = max(1, int(min(target.semi_minor_px for target in targets) / 3.5)) if targets else 1
-    sample = grey.sample if isinstance(grey, LazyPicture) else grey[::SAMPLE_STEP, ::SAMPLE_STEP].ravel()
+    sample = grey.sample if isinstance(grey, LazyImage) else grey[::SAMPLE_STEP, ::SAMPLE_STEP].ravel()
     white = float(np.percentile(sample, 99)) if sample.size else 0.0
     # Frames differ in light: contrasts are compared as parts of what is bright in each.
     unit = np.float32(white if white > 0 else 1.0)
 
-    def make(x0: int, y0: int, x1: int, y1: int) -> Picture:
+    def make(x0: int, y0: int, x1: int, y1: int) -> GreyImage:
         return reduce(grey[y0 * scale : y1 * scale, x0 * scale : x1 * scale], scale) / unit
 
     height, width = grey.shape
-    return Reduced(LazyPicture((height // scale, width // scale), make, sample / unit), scale)
+    return Reduced(LazyImage((height // scale, width // scale), make, sample / unit), scale)
 
 
-def measure_contrast(grey: Look, targets: Sequence[Sought]) -> FloatArray:
+def measure_contrast(grey: GreyLike, targets: Sequence[Sought]) -> FloatArray:
     """Contrast of each target in the frame it is sharp in, (n,), to be compared with later frames."""
     if not targets:
         return np.empty(0)
@@ -107,13 +107,13 @@ def measure_contrast(grey: Look, targets: Sequence[Sought]) -> FloatArray:
     return np.array([smear.contrast if smear else np.nan for smear in found])
 
 
-def find_again(grey: Look, targets: Sequence[Sought]) -> list[Smear | None]:
+def find_again(grey: GreyLike, targets: Sequence[Sought]) -> list[Smear | None]:
     """Find each target's smear.
 
     Parameters
     ----------
     grey
-        (h, w) blurred frame, colours balanced; of a `LazyPicture` only the targets' surroundings are made, unless one
+        (h, w) blurred frame, colours balanced; of a `LazyImage` only the targets' surroundings are made, unless one
         is missing there.
     targets
         What to look for.

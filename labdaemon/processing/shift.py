@@ -13,7 +13,7 @@ from labdaemon.blur.unsolvable import solved
 from labdaemon.errors import DataError
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.processing.control import ControlTargets, read_places
-from labdaemon.processing.smears import Look
+from labdaemon.processing.smears import GreyLike
 from labdaemon.processing.thumbnails import find_thumbnail
 
 REACH_PX = 24
@@ -58,7 +58,7 @@ class FrameShift:
 UNKNOWN = FrameShift((), np.zeros(2), np.zeros(2), 0.0, None)
 
 
-def frame_shift(frame: RawFrame, grey: Look, control: ControlTargets) -> FrameShift:
+def frame_shift(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> FrameShift:
     """Measure the control targets of a frame against the sharp one.
 
     Parameters
@@ -92,7 +92,7 @@ def _around(frame: RawFrame, half_size: tuple[float, float], centre: FloatArray)
     return frame.patch(x - half_w, y - half_h, 2 * half_w + 1, 2 * half_h + 1)
 
 
-def _starts(frame: RawFrame, grey: Look, control: ControlTargets) -> list[FloatArray | None]:
+def _starts(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> list[FloatArray | None]:
     """Rough place of each control target's picture in the frame."""
     found = [find_thumbnail(grey, thumbnail, REACH_PX) for thumbnail in control.thumbnails]
     centres = [target.centre_px for target in control.sharp]

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.lazily import LazyPicture, Picture
+from labdaemon.imaging.lazy_image import GreyImage, LazyImage
 
-Look = Picture | LazyPicture
+GreyLike = GreyImage | LazyImage
 """A picture, or one that is made where it is looked at."""
 
 MARGIN = 0.7
@@ -55,7 +55,7 @@ class Filter:
 
     a: FloatArray
     b: FloatArray
-    picture: Picture
+    picture: GreyImage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,7 @@ def filters(semi_major: float, semi_minor: float, angle_rad: float) -> tuple[Fil
     return tuple(Filter(a, b, _picture(semi_major, semi_minor, angle_rad, a, b)) for a, b in motions)
 
 
-def _picture(semi_major: float, semi_minor: float, angle_rad: float, a: FloatArray, b: FloatArray) -> Picture:
+def _picture(semi_major: float, semi_minor: float, angle_rad: float, a: FloatArray, b: FloatArray) -> GreyImage:
     margin = MARGIN * (semi_major + semi_minor) / 2
     reach = np.hypot(a, b) + semi_major + margin
     half_w, half_h = (int(np.ceil(v)) for v in reach)
@@ -106,11 +106,11 @@ def _picture(semi_major: float, semi_minor: float, angle_rad: float, a: FloatArr
         along, across = (dx * cos + dy * sin) / semi_major, (dy * cos - dx * sin) / semi_minor
         # An edge one reduced pixel wide stands for lens blur and reduction together.
         total += np.clip(0.5 + (1.0 - np.hypot(along, across)) * semi_minor, 0.0, 1.0)
-    return cast(Picture, (total / steps).astype(np.float32))
+    return cast(GreyImage, (total / steps).astype(np.float32))
 
 
 def best_smear(
-    reduced: Look, scale: int, expected_px: FloatArray, reach_px: float, shapes: tuple[Filter, ...]
+    reduced: GreyLike, scale: int, expected_px: FloatArray, reach_px: float, shapes: tuple[Filter, ...]
 ) -> Smear | None:
     """Find the most dot-like place within `reach_px` (in x and in y) of where a target is expected.
 
@@ -189,7 +189,7 @@ def _over_length(moment: FloatArray) -> FloatArray:
     return result
 
 
-def _spread_of(dark: Picture) -> tuple[float, float, FloatArray]:
+def _spread_of(dark: GreyImage) -> tuple[float, float, FloatArray]:
     """Centroid x and y of a darkness, and its second moment (xx, yy, √2·xy)."""
     m = cv2.moments(dark)
     spread = np.array([m["mu20"], m["mu02"], np.sqrt(2) * m["mu11"]]) / m["m00"]
@@ -200,14 +200,14 @@ def _spread_of(dark: Picture) -> tuple[float, float, FloatArray]:
 class _Window:
     """Part of the reduced picture about a place: where it begins, and the place in it."""
 
-    picture: Picture
+    picture: GreyImage
     left: int
     top: int
     x: int
     y: int
 
     @classmethod
-    def around(cls, reduced: Look, x: int, y: int, reach: int, side: int) -> _Window:
+    def around(cls, reduced: GreyLike, x: int, y: int, reach: int, side: int) -> _Window:
         """Wide enough for filters of half a `side` within `reach` of the place, and a little beyond."""
         half = reach + NEAR + side
         left, top = max(x - half, 0), max(y - half, 0)
@@ -237,7 +237,7 @@ class _Match:
         return Smear(centre, self.shape.a * scale, self.shape.b * scale, self.score, contrast)
 
 
-def _lone_match(reduced: Look, family: _Family, x: int, y: int, reach: int) -> _Match | None:
+def _lone_match(reduced: GreyLike, family: _Family, x: int, y: int, reach: int) -> _Match | None:
     """The match of the one dark island near a place, by way of its moments; None unless there is exactly one."""
     for side in (family.short, family.longest):
         window = _Window.around(reduced, x, y, reach, side)
@@ -316,7 +316,7 @@ def _alike(family: _Family, shape: Filter) -> list[Filter]:
     return [family.shapes[index] for index in np.argsort(away, kind="stable")[1 : ALIKE + 1]]
 
 
-def all_smears(reduced: Picture, scale: int, shapes: tuple[Filter, ...], least_score: float) -> list[Smear]:
+def all_smears(reduced: GreyImage, scale: int, shapes: tuple[Filter, ...], least_score: float) -> list[Smear]:
     """Find every place of the frame that looks like a blurred dot, best first, none within a dot of a better one."""
     h, w = reduced.shape
     top_score = np.full((h, w), -1.0, dtype=np.float32)
@@ -343,7 +343,7 @@ def all_smears(reduced: Picture, scale: int, shapes: tuple[Filter, ...], least_s
     return sorted(found, key=lambda smear: -smear.score)
 
 
-def _contrast(reduced: Look, shape: Filter, left: int, top: int) -> float:
+def _contrast(reduced: GreyLike, shape: Filter, left: int, top: int) -> float:
     """Paper less ink by least squares."""
     h, w = shape.picture.shape
     values = reduced[top : top + h, left : left + w].ravel()
@@ -352,7 +352,7 @@ def _contrast(reduced: Look, shape: Filter, left: int, top: int) -> float:
     return float(-(cover @ (values - values.mean())) / (cover @ cover))
 
 
-def reduce(grey: Picture, scale: int) -> Picture:
+def reduce(grey: GreyImage, scale: int) -> GreyImage:
     """Average blocks of `scale` × `scale` pixels; an incomplete block at the right or bottom edge is left out."""
     if scale == 1:
         return grey
@@ -360,4 +360,4 @@ def reduce(grey: Picture, scale: int) -> Picture:
     if not h or not w:
         return np.zeros((h, w), np.float32)
     size = (w, h)
-    return cast(Picture, cv2.resize(grey[: h * scale, : w * scale], size, interpolation=cv2.INTER_AREA))
+    return cast(GreyImage, cv2.resize(grey[: h * scale, : w * scale], size, interpolation=cv2.INTER_AREA))

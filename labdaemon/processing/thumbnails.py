@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.lazily import Picture
-from labdaemon.processing.smears import Look, reduce
+from labdaemon.imaging.lazy_image import GreyImage
+from labdaemon.processing.smears import GreyLike, reduce
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,18 +25,18 @@ class Thumbnail:
         Its place in the frame.
     """
 
-    picture: Picture
+    picture: GreyImage
     left: int
     top: int
 
     @classmethod
-    def cut(cls, grey: Picture, box: tuple[int, int, int, int]) -> Thumbnail:
+    def cut(cls, grey: GreyImage, box: tuple[int, int, int, int]) -> Thumbnail:
         """Cut (x, y, width, height) from a frame."""
         x, y, w, h = box
         return cls(grey[y : y + h, x : x + w].copy(), x, y)
 
 
-def find_thumbnail(grey: Look, sought: Thumbnail, reach_px: int) -> tuple[FloatArray, float]:
+def find_thumbnail(grey: GreyLike, sought: Thumbnail, reach_px: int) -> tuple[FloatArray, float]:
     """Shift at which a later frame looks most like a thumbnail.
 
     Parameters

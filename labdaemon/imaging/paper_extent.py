@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 RAYS = 72
 REACH = 16.0
-"""How far is looked, in radii of the dot; paper that goes on beyond counts as ending there."""
+"""How far is looked, in radii of the dot; paper that reaches further counts as ending there."""
 FALL, RISE = 0.4, 0.6
 """Change against the running level, in parts of its contrast to the ink, at which paper ends."""
 FOLLOW = 0.25
