@@ -139,7 +139,7 @@ class Journal:
             with closing(reader.execute(sql, (seq, limit))) as rows:
                 return within((event_text(row, self.uuid) for row in rows), most_bytes)
         except sqlite3.Error as exc:
-            raise as_data_error(exc, self.path) from exc
+            raise as_data_error(exc, self.path, is_read=True) from exc
 
     def read(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
         """Rows of what is committed."""
@@ -147,7 +147,7 @@ class Journal:
             try:
                 return self._reader.execute(sql, _storable(values)).fetchall()
             except sqlite3.Error as exc:
-                raise as_data_error(exc, self.path) from exc
+                raise as_data_error(exc, self.path, is_read=True) from exc
 
     @contextmanager
     def transaction(self, name: str) -> Iterator[Transaction]:

@@ -29,8 +29,11 @@ class JournalLocked(StorageUnavailable):
     """Another process, a backup for example, holds the journal's lock."""
 
 
-def as_data_error(exc: sqlite3.Error | OSError, file: Path) -> StorageError:
-    """Say what a failed read or write means and what to do about it."""
+def as_data_error(exc: sqlite3.Error | OSError, file: Path, *, is_read: bool = False) -> StorageError:
+    """Say what a failed read or write means and what to do about it.
+
+    A read may be the event loop's, so the disk is not asked by writing to it.
+    """
     if isinstance(exc, OSError):
         return storage_error(exc, file)
     text = str(exc).lower()
@@ -44,8 +47,10 @@ def as_data_error(exc: sqlite3.Error | OSError, file: Path) -> StorageError:
                 "cannot be written (read-only disk, missing permission or moved away); remount, chown or put it back",
                 file=file,
             )
-        case sqlite3.SQLITE_IOERR:
+        case sqlite3.SQLITE_IOERR if not is_read:
             return _of_disk(exc, file)
+        case sqlite3.SQLITE_IOERR:
+            return StorageUnavailable(f"the disk does not answer ({exc}); check that it is connected", file=file)
     if any(word in text for word in ("malformed", "not a database", "corrupt")):
         return JournalError(
             "the journal is damaged and was left as it is; start with --new-journal to set it aside and begin another",

@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import zmq
 import zmq.asyncio
 
 from labdaemon.clock import Clock, rfc3339
+from labdaemon.errors import StorageUnavailable
 from labdaemon.journal.event import EventText
 from labdaemon.plain_json import dump_json
 from labdaemon.stream.gate import Gate
 from labdaemon.stream.messages import InvalidParams, RawJson
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
 from labdaemon.stream.text_limits import shown
+
+log = logging.getLogger(__name__)
 
 STATUS_PERIOD_S = 1.0
 GREETING_PAUSE_S = 0.02
@@ -79,6 +84,7 @@ class EventPublisher:
         self._gate: Gate | None = None
         self._news = asyncio.Event()
         self._sent = outbox.last_seq
+        self._is_unread = False
 
     def bind(self) -> None:
         """Take the address.
@@ -111,15 +117,29 @@ class EventPublisher:
         status_due = loop.time()
         while True:
             self._news.clear()
-            await self._send_committed()
+            with self._waiting_for_disk():
+                await self._send_committed()
             if loop.time() >= status_due:
-                await self._send_status()
+                with self._waiting_for_disk():
+                    await self._send_status()
                 status_due = max(status_due + STATUS_PERIOD_S, loop.time())
             try:
                 async with asyncio.timeout_at(status_due):
                     await self._news.wait()
             except TimeoutError:
                 pass
+
+    @contextmanager
+    def _waiting_for_disk(self) -> Iterator[None]:
+        """A journal that cannot be read now is read at the next heartbeat; a person hears of it once."""
+        try:
+            yield
+        except StorageUnavailable as exc:
+            if not self._is_unread:
+                log.warning("events wait: %s", exc)
+            self._is_unread = True
+        else:
+            self._is_unread = False
 
     async def _send_committed(self) -> None:
         while events := self._outbox.recent(self._sent, BATCH, BATCH_BYTES):
@@ -152,7 +172,8 @@ class EventPublisher:
                     break
                 is_new |= (await self._bound.recv_multipart())[0][:1] == b"\x01"
             if is_new:
-                await self._send_status()
+                with self._waiting_for_disk():
+                    await self._send_status()
                 await asyncio.sleep(GREETING_PAUSE_S)
 
     @property

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.clock import SystemClock
-from labdaemon.errors import ConfigError
+from labdaemon.errors import ConfigError, StorageUnavailable
 from labdaemon.journal.event import Event, EventText, within
 from labdaemon.stream import events as events_module
 from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon, RemoteError
@@ -281,6 +281,21 @@ def test_a_client_that_asks_and_never_reads_harms_nobody() -> None:
 def test_replay_refuses_nonsense(params: dict[str, Any]) -> None:
     with pytest.raises(InvalidParams):
         replay(ListOutbox(), params)
+
+
+def test_a_journal_that_cannot_be_read_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Service(ListOutbox()) as service, service.client() as client, following(client) as stream:
+        failures = iter([StorageUnavailable("locked"), StorageUnavailable("locked")])
+        recent = service.outbox.recent
+
+        def locked(seq: int, limit: int, most_bytes: int) -> list[EventText]:
+            for failure in failures:
+                raise failure
+            return recent(seq, limit, most_bytes)
+
+        monkeypatch.setattr(service.outbox, "recent", locked)
+        service.commit(3)
+        assert take(stream, 3) == [1, 2, 3]
 
 
 def test_a_second_publisher_on_the_address_is_told_so() -> None:

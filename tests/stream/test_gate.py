@@ -237,7 +237,7 @@ async def test_a_system_without_descriptors_is_waited_out(
     assert await ask(lab.server.address, x=1) == {"x": 1}
 
 
-async def test_of_two_clients_of_one_identity_the_newcomer_is_heard(labs: Callable[..., Lab]) -> None:
+async def test_two_clients_of_one_identity_are_both_heard_and_get_their_own_answers(labs: Callable[..., Lab]) -> None:
     lab = labs()
     with zmq.asyncio.Context() as context:
         first, second = (context.socket(zmq.DEALER) for _ in range(2))
@@ -246,14 +246,12 @@ async def test_of_two_clients_of_one_identity_the_newcomer_is_heard(labs: Callab
             one.set(zmq.RECONNECT_IVL, -1)
             one.connect(lab.server.address)
             await one.send_json({"jsonrpc": "2.0", "id": 1, "method": "slow" if one is first else "echo"})
-            if one is first:
-                await until(lambda: bool(lab.server._tasks))
+            await until(lambda: one is second or bool(lab.server._tasks))  # noqa: B023
         async with asyncio.timeout(20):
             assert json.loads(await second.recv())["result"] == {}
-        lab.release.set()
-        await until(lambda: not lab.server._tasks)
-        await second.send_json({"jsonrpc": "2.0", "id": 2, "method": "echo"})
-        async with asyncio.timeout(20):
+            lab.release.set()
+            assert json.loads(await first.recv())["result"] == "slow"
+            await second.send_json({"jsonrpc": "2.0", "id": 2, "method": "echo"})
             assert json.loads(await second.recv())["id"] == 2  # and not the other one's answer
         context.destroy(linger=0)
 
