@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.processing.search import Sought, assign, find_again, measure_contrast
-from labdaemon.processing.smears import Picture
+from labdaemon.processing.smears import GreyImage
 
 RADIUS = 10.0
 
 
 def draw(
     places: np.ndarray, a: np.ndarray, b: np.ndarray, *, size: tuple[int, int] = (700, 900), seed: int = 0
-) -> Picture:
+) -> GreyImage:
     """Labels with dots that move, over a background of rectangles that do not."""
     rng = np.random.default_rng(seed)
     base = np.full(size, 0.35, np.float32)
