@@ -129,5 +129,21 @@ class InterlockError(LabdaemonError):
     """A limit was crossed, so the shaker was stopped. Never retried by itself."""
 
 
+class RestUnconfirmed(InterlockError):
+    """The table was stopped by all that is left, and nothing that can see confirms that it rests.
+
+    Parameters
+    ----------
+    message
+        What was seen and tried; names the emergency stop.
+    table
+        ``moving`` where something sees motion, else ``unconfirmed``.
+    """
+
+    def __init__(self, message: str, *, table: str = "unconfirmed") -> None:
+        self.table = table
+        super().__init__(message)
+
+
 class LimitError(ConfigError):
     """A campaign asks for more than the table, the disk or a camera can do."""

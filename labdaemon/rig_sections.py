@@ -216,6 +216,9 @@ class ProcessingSection(Section):
 class InterlocksSection(Section):
     """What stops the table. None switches a check off."""
 
+    accept_no_enable: bool = False
+    """Campaigns may move the table although no enable line was seen to stop it: a person answers for that."""
+
     max_response_mm: Positive | None = None
     """Largest semi-amplitude of the structure by a response gauge or by an envelope."""
     max_response_rate_mm_s: Positive | None = None

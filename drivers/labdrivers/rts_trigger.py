@@ -54,6 +54,7 @@ class RtsTrigger:
     """
 
     SETTINGS: ClassVar[frozenset[str]] = frozenset(RtsSettings.model_fields)
+    holds_enable: ClassVar[bool] = False
 
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         self.name = name

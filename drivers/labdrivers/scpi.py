@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -25,10 +26,14 @@ from labdrivers.scpi_commands import DIALECTS, LEVELS, Commands
 from labdrivers.scpi_link import ScpiLink
 from labdrivers.scpi_recipe import stop_recipe
 from labdrivers.serial_line import PortSettings, SerialLine
-from labdrivers.settings import read_settings
+from labdrivers.settings import read_settings, readable_settings
 
 RAMP_TICK_S = 0.05
 STOP_TRIES = 3
+STOP_ANSWER_S = 0.5
+"""A controller that is silent for so long during a stop is stopped hard, on a wire opened anew."""
+STOP_RAMP_S = 1.5
+"""A soft stop takes this long at most, however far the table moves."""
 SAME_FREQUENCY = 1.02
 """A correction found at one frequency holds within this ratio of it."""
 TRIM_RANGE = (0.25, 4.0)
@@ -60,6 +65,15 @@ class ShakerSettings(PortSettings):
     """The amplifier's enable is held by the trigger box. Needed where the generator cannot switch its output off."""
 
 
+STOPPING: dict[str, Any] = {
+    "limits": {"stroke_mm": 1.0, "velocity_mm_s": 1.0, "acceleration_mm_s2": 10.0, "frequency_hz": (1.0, 2.0)},
+    "calibration": None,
+    "drive": [{"frequency_hz": 1.0, "mm_per_v": 1.0}],
+    "enable_line": True,
+}
+"""For keys that the driver needs, and that switching an output off does not."""
+
+
 class ScpiShaker:
     """Driver of the group ``labdaemon.shakers``.
 
@@ -77,6 +91,8 @@ class ScpiShaker:
     """
 
     SETTINGS: ClassVar[frozenset[str]] = frozenset(ShakerSettings.model_fields)
+    reopens: ClassVar[bool] = True
+    """`stop_now` opens a broken wire anew by itself."""
 
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         self.name = name
@@ -94,6 +110,26 @@ class ScpiShaker:
         self._link = ScpiLink(self._line, self._commands)
         self._trim, self._trim_at_hz = 1.0, 0.0
         self._halt = threading.Event()
+        self._sent: tuple[float, float] | None = None
+        """Frequency and amplitude (Hz, mm) that went out last while the output was on; None when nobody knows."""
+
+    @classmethod
+    def for_stopping(cls, name: str, settings: Mapping[str, Any]) -> ScpiShaker:
+        """Build it from what of its section can be read: good for `stop_now` and `state`, never for `set`.
+
+        Raises
+        ------
+        ConfigError
+            Not even its port can be read.
+        """
+        needed = {key: value for key, value in settings.items() if key not in STOPPING}
+        readable = readable_settings(ShakerSettings, needed, STOPPING)
+        for without in ((), ("commands",), ("commands", "dialect")):
+            try:
+                return cls(name, {key: value for key, value in readable.items() if key not in without})
+            except ConfigError as exc:
+                fault = exc
+        raise fault
 
     def _read_table(self) -> DriveTable:
         file = self._settings.calibration
@@ -113,6 +149,7 @@ class ScpiShaker:
     def connect(self) -> str:
         """Open the wire and identify. Changes nothing on the controller: a moving table goes on moving."""
         self._line.open()
+        self._sent = None
         try:
             return self._link.identify()
         except DeviceError:
@@ -192,25 +229,39 @@ class ScpiShaker:
     def stop(self) -> None:
         """Ramp to rest, switch off, confirm; whatever fails on the way, the output-off is still sent.
 
+        The first smaller level goes out at once, even while another thread waits for an answer.
+
         Raises
         ------
         DeviceError
             Rest is not confirmed: use `stop_now` and drop the enable line.
         """
         self._halt.set()
-        try:
-            now = self.state()
-            if now.running and math.isfinite(now.amplitude_mm):
-                self._ramp(now, now.frequency_hz, self._lowest_mm(now.frequency_hz), heed_halt=False)
-        except DeviceError:
-            pass  # what matters is the output, and that is confirmed below
-        self._switch_off()
+        with self._link.in_haste(STOP_ANSWER_S):
+            with suppress(DeviceError):  # what matters is the output, and that is switched off and confirmed below
+                self._ramp_down()
+            self._link.tell_at_once(self._off_command)
+            self._switch_off()
 
     def stop_now(self) -> None:
-        """Output off at once, then confirm. Needs nothing but an open wire, and interrupts a `set` under way."""
+        """Output off at once, then confirm; interrupts a `set` in progress.
+
+        Opens the wire where it is closed or broken, and once more where the controller does not answer.
+
+        Raises
+        ------
+        DeviceError
+            The output was not confirmed off.
+        """
         self._halt.set()
-        self._link.tell_at_once(self._off_command)
-        self._switch_off()
+        with self._link.in_haste(STOP_ANSWER_S):
+            try:
+                self._off_at_once()
+                self._switch_off()
+            except (TransportError, ProtocolError):
+                self._link.reopen()
+                self._off_at_once()
+                self._switch_off()
 
     def stop_recipe(self) -> StopRecipe | None:
         """`stop_now` as data for the guardian; None for a simulated device of this process."""
@@ -220,21 +271,49 @@ class ScpiShaker:
     def _off_command(self) -> str:
         return self._commands.output_off or self._level_command(self._lowest_level)
 
+    def _off_at_once(self) -> None:
+        """Send the output-off whatever the wire is busy with, on a wire opened anew if it is closed."""
+        if not self._line.is_open:
+            self._link.reopen()
+        self._link.tell_at_once(self._off_command)
+
+    def _ramp_down(self) -> None:
+        """From what was sent last to the lowest level; nothing where nobody knows what that was.
+
+        Each level is followed by a question: a setting has no answer, and only an answer shows that the wire lives.
+        """
+        if self._sent is None:
+            return
+        frequency_hz, start_mm = self._sent
+        fall_mm = start_mm - self._lowest_mm(frequency_hz)
+        tick_mm = max(self._settings.ramp_mm_s, fall_mm / STOP_RAMP_S) * RAMP_TICK_S
+        steps = max(1, math.ceil(fall_mm / tick_mm))
+        begin = time.monotonic()
+        for step in range(1, steps + 1):
+            level = (start_mm - fall_mm * step / steps) * self._per_mm(frequency_hz)
+            if step == 1:
+                self._link.tell_at_once(self._level_command(level))
+            else:
+                self._link.tell(self._level_command(level))
+            self._link.ask(self._commands.get_level)
+            time.sleep(max(begin + step * RAMP_TICK_S - time.monotonic(), 0.0))
+
     def _switch_off(self) -> None:
         fault: DeviceError | None = None
         for _ in range(STOP_TRIES):
             try:
                 self._link.tell(self._off_command)
                 if not self._still_on():
+                    self._sent = None
                     return
                 fault = DeviceRefused(
-                    "output stays on although told off; drop the enable line or use the emergency stop",
+                    "output stays on although it was switched off; drop the enable line or use the emergency stop",
                     device=self.name,
                 )
-            except (TransportError, ProtocolError) as exc:
+            except TransportError:
+                raise  # broken or silent: another try on this wire only costs time
+            except ProtocolError as exc:
                 fault = exc
-                if not self._line.is_open:
-                    break
         assert fault is not None
         raise fault
 
@@ -251,7 +330,7 @@ class ScpiShaker:
         self._send_level(frequency_hz, self._lowest_mm(frequency_hz))
         self._link.check_errors("being set up")
 
-    def _ramp(self, start: ShakerState, frequency_hz: float, amplitude_mm: float, *, heed_halt: bool = True) -> None:
+    def _ramp(self, start: ShakerState, frequency_hz: float, amplitude_mm: float) -> None:
         """Straight in amplitude, geometric in frequency, a small step each tick."""
         change = abs(amplitude_mm - start.amplitude_mm)
         steps = max(1, math.ceil(change / self._settings.ramp_mm_s / RAMP_TICK_S))
@@ -263,17 +342,13 @@ class ScpiShaker:
             part = step / steps
             now_hz = start.frequency_hz * (frequency_hz / start.frequency_hz) ** part
             with self._link.exclusive():  # as above: no level may follow a stop
-                if heed_halt:
-                    self._pass_gate()
+                self._pass_gate()
                 if moved:
                     self._send_frequency(now_hz)
                 self._send_level(now_hz, start.amplitude_mm + (amplitude_mm - start.amplitude_mm) * part)
             rest = begin + step * RAMP_TICK_S - time.monotonic()
             if step < steps and rest > 0:
-                if heed_halt:
-                    self._halt.wait(rest)
-                else:
-                    time.sleep(rest)
+                self._halt.wait(rest)
 
     def _confirm(self, frequency_hz: float, amplitude_mm: float) -> None:
         self._link.check_errors(f"set to {frequency_hz:g} Hz, {amplitude_mm:g} mm")
@@ -359,6 +434,7 @@ class ScpiShaker:
 
     def _send_level(self, frequency_hz: float, amplitude_mm: float) -> None:
         level_mm = max(amplitude_mm, self._lowest_mm(frequency_hz))
+        self._sent = frequency_hz, level_mm  # before it goes out: a stop begins below what may have arrived
         self._link.tell(self._level_command(level_mm * self._per_mm(frequency_hz)))
 
     def _level_command(self, level: float) -> str:

@@ -20,6 +20,7 @@ from labdrivers.serial_line import SerialLine
 LONGEST_QUEUE = 30
 """Keysight's error queues hold 20; more entries than this are no queue."""
 IDENTITY_TRIES = 4
+HASTY_TRIES = 3
 
 T = TypeVar("T")
 
@@ -40,6 +41,7 @@ class ScpiLink:
         self._lock = threading.RLock()
         self._dirty = False
         self._identity: str | None = None
+        self._haste = threading.local()
 
     @property
     def device(self) -> str:
@@ -48,9 +50,40 @@ class ScpiLink:
 
     @contextmanager
     def exclusive(self) -> Iterator[None]:
-        """Keep other threads' exchanges out, so that a check and the command that depends on it belong together."""
-        with self._lock:
+        """Keep other threads' exchanges out, so that a check and the command that depends on it belong together.
+
+        Raises
+        ------
+        TransportError
+            In haste only: another thread's exchange does not end.
+        """
+        haste_s = self._haste_s
+        if not self._lock.acquire(timeout=-1 if haste_s is None else haste_s):
+            raise TransportError("is busy with an exchange that does not end", device=self.device)
+        try:
             yield
+        finally:
+            self._lock.release()
+
+    @contextmanager
+    def in_haste(self, timeout_s: float) -> Iterator[None]:
+        """Let this thread's exchanges wait no longer than this for an answer, or for their turn: for stopping."""
+        before, self._haste.timeout_s = self._haste_s, min(timeout_s, self._line.settings.timeout_s)
+        try:
+            yield
+        finally:
+            self._haste.timeout_s = before
+
+    def reopen(self) -> None:
+        """Open a wire that broke, or that gave no answer, anew. What waits on the old one ends with an error.
+
+        Raises
+        ------
+        TransportError
+            The port does not open.
+        """
+        self._line.open()
+        self._dirty = True
 
     def identify(self) -> str:
         """Ask who is there until the same answer came twice running: the first may be left over from an earlier talk.
@@ -62,12 +95,12 @@ class ScpiLink:
         ProtocolError
             What comes is no identity, or never the same.
         """
-        with self._lock:
+        with self.exclusive():
             self._line.write(b"\n")  # ends whatever half a command an earlier program left
             self._line.discard()
             before: str | None = None
             fault: DeviceError | None = None
-            for _ in range(IDENTITY_TRIES):
+            for _ in range(IDENTITY_TRIES if self._haste_s is None else HASTY_TRIES):
                 try:
                     answer = self._ask(self._commands.identify)
                 except (TransportError, ProtocolError) as exc:
@@ -84,7 +117,7 @@ class ScpiLink:
 
     def tell(self, command: str) -> None:
         """Send a setting; wait for its acknowledgement if the controller gives one."""
-        with self._lock, self._watched():
+        with self.exclusive(), self._watched():
             self._resync()
             self._line.write(command.encode("ascii") + b"\n")
             if self._commands.acknowledge:
@@ -96,12 +129,13 @@ class ScpiLink:
 
     def tell_at_once(self, command: str) -> None:
         """Send a setting even while another thread waits for a reply: for stopping."""
-        self._dirty = True  # whoever waits may now see an answer that is not theirs
+        # A controller that acknowledges settings has now two answers to give, and who waits may see the wrong one.
+        self._dirty = self._dirty or bool(self._commands.acknowledge)
         self._line.write(command.encode("ascii") + b"\n")
 
     def ask(self, question: str) -> str:
         """One question, one line of answer."""
-        with self._lock, self._watched():
+        with self.exclusive(), self._watched():
             self._resync()
             return self._ask(question)
 
@@ -157,18 +191,21 @@ class ScpiLink:
         return self._read()
 
     def _read(self) -> str:
-        raw = self._line.read_line(time.monotonic() + self._line.settings.timeout_s)
+        raw = self._line.read_line(time.monotonic() + self._timeout_s)
         try:
             return raw.decode("ascii").strip()
         except UnicodeDecodeError:
             raise ProtocolError(f"sent {raw[:40]!r}, which is no text; check baud rate", device=self.device) from None
 
     def _resync(self) -> None:
-        if not self._dirty or self._identity is None:
+        if not self._dirty:
+            return
+        if self._identity is None:
+            self.identify()
             return
         self._line.discard()
         self._line.write(self._commands.identify.encode("ascii") + b"\n")
-        deadline = time.monotonic() + self._line.settings.timeout_s
+        deadline = time.monotonic() + self._timeout_s
         heard: bytes | None = None
         while time.monotonic() < deadline:  # a device that babbles must not keep us here
             try:
@@ -186,6 +223,17 @@ class ScpiLink:
             "rate and wiring, or power it off and on",
             device=self.device,
         )
+
+    @property
+    def _haste_s(self) -> float | None:
+        """Longest wait of this thread's exchanges where it is in haste."""
+        found: float | None = getattr(self._haste, "timeout_s", None)
+        return found
+
+    @property
+    def _timeout_s(self) -> float:
+        haste_s = self._haste_s
+        return self._line.settings.timeout_s if haste_s is None else haste_s
 
     @contextmanager
     def _watched(self) -> Iterator[None]:

@@ -44,6 +44,9 @@ class PortSettings(Settings):
     stopbits: Literal[1, 2] = 1
     handshake: Literal["none", "rtscts", "dsrdtr", "xonxoff"] = "none"
     timeout_s: float = Field(default=2.0, gt=0, le=60)
+    exclusive: bool = True
+    """Lock the device file, which is advisory: it keeps a second daemon off, not every program. What must stop a table
+    whose daemon hangs opens the port without."""
 
 
 class SerialLine:
@@ -69,6 +72,7 @@ class SerialLine:
         self._port: serial.Serial | None = None
         self._buffer = bytearray()
         self._write_lock = threading.Lock()
+        self._open_lock = threading.Lock()
 
     @property
     def is_open(self) -> bool:
@@ -85,6 +89,10 @@ class SerialLine:
         TransportError
             The port does not open.
         """
+        with self._open_lock:  # two threads that stop the table may find the wire broken at once
+            self._open()
+
+    def _open(self) -> None:
         self.close()
         url = self.settings.port
         _register_scheme(url)
@@ -101,7 +109,7 @@ class SerialLine:
                 xonxoff=self.settings.handshake == "xonxoff",
                 timeout=TICK_S,
                 write_timeout=None if url.lower().startswith("rfc2217:") else self.settings.timeout_s,  # it has none
-                exclusive=True,  # advisory: keeps a second daemon off, not every program
+                exclusive=self.settings.exclusive,
             )
             if not self._raise_lines:
                 port.dtr = False
@@ -172,6 +180,7 @@ class SerialLine:
         ProtocolError
             More than `longest_line` bytes came without an end of line (and were thrown away).
         """
+        port = self._opened()
         while True:
             while (end := self._buffer.find(b"\n")) >= 0:
                 line = bytes(self._buffer[:end]).strip(b"\r\x00")
@@ -191,25 +200,27 @@ class SerialLine:
                     f"no answer on {self.settings.port} ({got} came); check power, cable and baud rate",
                     device=self.device,
                 )
-            self._fill()
+            self._fill(port)
 
     def discard(self, *, quiet_s: float = 0.05, limit_s: float = 0.5) -> bytes:
         """Throw away what comes until the line was quiet for `quiet_s`, for at most `limit_s`; return it for logs."""
+        port = self._opened()
         thrown = bytearray(self._buffer)
         self._buffer.clear()
         end = time.monotonic() + limit_s
         quiet_at = time.monotonic() + quiet_s
         while time.monotonic() < min(end, quiet_at):
-            self._fill()
+            self._fill(port)
             if self._buffer:
                 thrown += self._buffer
                 self._buffer.clear()
                 quiet_at = time.monotonic() + quiet_s
         return bytes(thrown)
 
-    def _fill(self) -> None:
+    def _fill(self, port: serial.Serial) -> None:
+        if port is not self._port:  # who waits on the old port must not take the new one's answers
+            raise TransportError("was opened anew by another call; ask again", device=self.device)
         with self._faults("reading"):
-            port = self._opened()
             first = port.read(1)
             if first:
                 self._buffer += first

@@ -50,3 +50,28 @@ def read_settings(model: type[S], section: Mapping[str, Any], *, key: str, ignor
             else first["msg"]
         )
         raise ConfigError(message, key=path) from None
+
+
+def readable_settings(model: type[S], section: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a section a driver's model takes, for a driver that is only to stop its device.
+
+    Parameters
+    ----------
+    model
+        The driver's settings.
+    section
+        As read from TOML; keys that are unknown or wrong are left out.
+    defaults
+        For keys that the model needs and stopping does not.
+    """
+    kept = {name: value for name, value in section.items() if name in model.model_fields}
+    for _ in range(len(kept) + 1):  # one wrong key may hide another
+        try:
+            model.model_validate({**defaults, **kept})
+        except ValidationError as exc:
+            for error in exc.errors():
+                if error["loc"]:
+                    kept.pop(str(error["loc"][0]), None)
+        else:
+            break
+    return {**defaults, **kept}

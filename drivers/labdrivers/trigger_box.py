@@ -19,11 +19,15 @@ from pydantic import Field
 from labdaemon.capture.devices import Firing
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
 from labdrivers.serial_line import PortSettings, SerialLine
-from labdrivers.settings import read_settings
+from labdrivers.settings import read_settings, readable_settings
 from labdrivers.trigger_wire import LAST_SEQUENCE, OUTPUTS, decode, elapsed_us, encode
 
 TRIES = 3
 POLL_S = 0.01
+URGENT_SEQUENCE = LAST_SEQUENCE
+"""Number of the drop that is sent past whatever the wire is busy with; ordinary requests never have it."""
+TURN_S = 0.6
+"""Longest wait for another thread's exchange before a drop opens the wire anew."""
 
 
 class TriggerSettings(PortSettings):
@@ -66,6 +70,9 @@ class TriggerBox:
     """
 
     SETTINGS: ClassVar[frozenset[str]] = frozenset(TriggerSettings.model_fields)
+    holds_enable: ClassVar[bool] = True
+    reopens: ClassVar[bool] = True
+    """`drop_enable` opens a broken wire anew by itself."""
 
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         self.name = name
@@ -76,6 +83,17 @@ class TriggerBox:
         self._lag_s = self._settings.opening_lag_s
         self._armed = False
         self._seen = 0
+
+    @classmethod
+    def for_stopping(cls, name: str, settings: Mapping[str, Any]) -> TriggerBox:
+        """Build it from what of its section can be read: good for `drop_enable`.
+
+        Raises
+        ------
+        ConfigError
+            Not even its port can be read.
+        """
+        return cls(name, readable_settings(TriggerSettings, settings, {}))
 
     def connect(self) -> str:
         """Open the wire and identify. Fires nothing, raises nothing.
@@ -129,8 +147,37 @@ class TriggerBox:
             )
 
     def drop_enable(self) -> None:
-        """Drop the enable line now; only `raise_enable` brings it back."""
-        if self._exchange("DROP") != ("0",):
+        """Drop the enable line now, past whatever the wire is busy with; only `raise_enable` brings it back.
+
+        Opens the wire where it is closed or broken, and once more where the box does not answer.
+
+        Raises
+        ------
+        TransportError, ProtocolError
+            The box does not answer. Without heartbeats it drops the line by itself.
+        DeviceRefused
+            It says that the line does not drop.
+        """
+        try:
+            self._drop()
+        except (TransportError, ProtocolError):
+            self._armed = False
+            self._line.open()  # ends what another thread waits for on the old wire
+            self._drop()
+
+    def _drop(self) -> None:
+        if not self._line.is_open:
+            self._armed = False
+            self._line.open()
+        # Sent without a turn on the wire. Its own number keeps its reply from being taken for another request's.
+        self._line.write(encode(">", URGENT_SEQUENCE, "DROP"))
+        if not self._lock.acquire(timeout=TURN_S):
+            raise TransportError("is busy with an exchange that does not end", device=self.name)
+        try:
+            answer = self._exchange_locked("DROP", tries=1)
+        finally:
+            self._lock.release()
+        if answer != ("0",):
             raise DeviceRefused("enable line does not drop; use the emergency stop", device=self.name)
 
     def fire(self, exposure_s: float, *, frequency_hz: float | None = None, phase_rad: float | None = None) -> Firing:
@@ -238,25 +285,28 @@ class TriggerBox:
     def _exchange(self, request: str) -> tuple[str, ...]:
         """One request and its reply's values; sent up to three times, served once."""
         with self._lock:
-            self._sequence = self._sequence % LAST_SEQUENCE + 1
-            line = encode(">", self._sequence, request)
-            fault: DeviceError = TransportError(f"does not answer {request!r}", device=self.name)
-            for _ in range(TRIES):
-                self._line.write(line)
-                try:
-                    words = self._reply(request)
-                except (TransportError, ProtocolError) as exc:
-                    fault = exc
-                    if not self._line.is_open:
-                        break
-                    self._line.discard(limit_s=0.1)
-                    continue
-                if words[:1] == ("OK",):
-                    return words[1:]
-                if words[:1] == ("ERR",):
-                    raise DeviceRefused(f"refused {request!r}: {' '.join(words[1:])}", device=self.name)
-                fault = ProtocolError(f"answered {' '.join(words)!r} to {request!r}", device=self.name)
-            raise fault
+            return self._exchange_locked(request)
+
+    def _exchange_locked(self, request: str, tries: int = TRIES) -> tuple[str, ...]:
+        self._sequence = self._sequence % (LAST_SEQUENCE - 1) + 1
+        line = encode(">", self._sequence, request)
+        fault: DeviceError = TransportError(f"does not answer {request!r}", device=self.name)
+        for _ in range(tries):
+            self._line.write(line)
+            try:
+                words = self._reply(request)
+            except (TransportError, ProtocolError) as exc:
+                fault = exc
+                if not self._line.is_open:
+                    break
+                self._line.discard(limit_s=0.1)
+                continue
+            if words[:1] == ("OK",):
+                return words[1:]
+            if words[:1] == ("ERR",):
+                raise DeviceRefused(f"refused {request!r}: {' '.join(words[1:])}", device=self.name)
+            fault = ProtocolError(f"answered {' '.join(words)!r} to {request!r}", device=self.name)
+        raise fault
 
     def _reply(self, request: str) -> tuple[str, ...]:
         deadline = time.monotonic() + self._settings.timeout_s

@@ -29,7 +29,6 @@ from labdaemon.campaign.interlocks import Limits
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.lines import DeviceLine
 from labdaemon.capture.recorder import Recorder
-from labdaemon.capture.rig import bring_to_rest
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
 from labdaemon.clock import SystemClock
@@ -118,10 +117,10 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
     """
     clock, rig = SystemClock(), build_rig(load_rig(rig_file))
     await connect_stoppers(rig)
-    await bring_to_rest(rig, at_once=True)
+    table = Table(rig, clock, None)
+    await table.stop(at_once=True)
     await connect_others(rig)
     journal = Journal(data, clock)
-    table = Table(rig, clock, None)
     lab = Lab(rig, table, Recorder(journal, DeviceLine("journal")), clock, data)
     tripped: list[float] = []
     stopped: list[asyncio.Task[Any]] = []
@@ -162,7 +161,7 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
     finally:
         watching.cancel()
         await asyncio.gather(watching, return_exceptions=True)
-        await bring_to_rest(rig, at_once=True)
+        await table.stop(at_once=True)
         await rig.close()
         journal.close()
     return Latencies(tuple(found[False]), tuple(found[True]))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from labdaemon.campaign.control import Control, Interrupted
 from labdaemon.campaign.guard import Pace
+from labdaemon.campaign.line import EnableLine
 from labdaemon.campaign.measuring import Measuring
 from labdaemon.campaign.reporter import Reporter
 from labdaemon.campaign.steps import Step
@@ -18,7 +19,7 @@ from labdaemon.campaign.walk import Walker
 from labdaemon.campaign.windows import POLL_S, wait_s
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.recover import reconnect_suspects, recover
-from labdaemon.capture.rig import Rest
+from labdaemon.capture.rest import Rest
 from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, SetupError, StorageUnavailable
 from labdaemon.journal import transitions
 
@@ -41,6 +42,8 @@ class Policy:
         Frames of one outside release arrive from all cameras within this time.
     pace
         How often the guard looks.
+    accept_no_enable
+        Move the table although no enable line was seen to stop it.
     """
 
     max_tries: int = 4
@@ -48,6 +51,7 @@ class Policy:
     accept_changed_rig: bool = False
     window_s: float = 5.0
     pace: Pace = field(default_factory=Pace)
+    accept_no_enable: bool = False
 
     def pause_s(self, failures: int) -> float:
         """Wait after this many failures in a row."""
@@ -68,6 +72,7 @@ class Attempts:
     def __init__(self, lab: Lab, measuring: Measuring, control: Control, reporter: Reporter, policy: Policy) -> None:
         self._lab, self._measuring, self._control = lab, measuring, control
         self._reporter, self._policy = reporter, policy
+        self.line = EnableLine(lab, reporter, policy.accept_no_enable)
         self.needs_recovery = True
         """Something may be in flight that nobody looks after: at the start, and after every interruption."""
         self.doing = "starting"
@@ -163,6 +168,7 @@ class Attempts:
 
     async def _catch_up_and_walk(self, walker: Walker, step: Step) -> None:
         await self._measuring.catch_up(walker.campaign)
+        await self.line.before(step)
         await walker.walk(step)
 
     async def _retries(self, campaign: str, step: Step, exc: LabdaemonError, failures: int) -> bool:

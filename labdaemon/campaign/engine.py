@@ -24,7 +24,7 @@ from labdaemon.campaign.measuring import Measuring, Rows
 from labdaemon.campaign.reporter import Reporter
 from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.capture import Lab
-from labdaemon.capture.rig import Rest
+from labdaemon.capture.rest import Rest
 from labdaemon.errors import ConfigError, InterlockError, LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CampaignRecord, CampaignState, CaptureRecord
@@ -98,6 +98,7 @@ class Engine:
             quiet=self.control.quiet.wait,
             pace=policy.pace,
         )
+        self.line = self.attempts.line
         manual = ManualMeasuring(lab, measuring, self.reporter, folder_files)
         self.manual = ManualCaptures(lab, manual, self.reporter, policy.window_s, self._recover_soon)
         self._outside = OutsideListener(lab, self.manual, self.attempts, self.reporter, policy)
@@ -147,8 +148,23 @@ class Engine:
         self._stops.add(task)
         task.add_done_callback(self._stops.discard)
 
+    def report(self, error: LabdaemonError, action: str) -> None:
+        """A fault outside any step, as of a wire that was lost: it is written as soon as it can be."""
+        log.error("%s", error)
+        task = asyncio.create_task(self._fault(error, action))
+        self._stops.add(task)
+        task.add_done_callback(self._stops.discard)
+
     async def submit(self, plan: Plan, request_id: str | None = None) -> str:
-        """Queue a checked campaign; its id, once it is in the journal."""
+        """Queue a checked campaign; its id, once it is in the journal.
+
+        Raises
+        ------
+        WrongState
+            It moves the table, and the enable line was not seen to stop it; see `labdaemon.campaign.line`.
+        """
+        async with self.manual.turn:  # the proof moves the table, which no capture may see
+            await self.line.admit(plan, is_idle=self._next() is None)
         id = await self.lab.recorder.write(transitions.submit, plan.name, plan.toml, plan.digest, request_id)
         self.control.news.set()
         return id

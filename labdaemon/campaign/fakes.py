@@ -17,7 +17,9 @@ from labdaemon.campaign.plan import PlanRig, make_plan
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.fakes import FakeRig, FakeWorld, fake_rig
+from labdaemon.capture.keeper import TableKeeper
 from labdaemon.capture.lines import InlineLine
+from labdaemon.capture.observer import Proof
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.table import Table
 from labdaemon.clock import SimulatedClock
@@ -109,6 +111,8 @@ class FakeLab:
     ----------
     data
         The data folder; in memory (tmpfs) for long runs.
+    proof
+        What is known of the enable line when the engine begins.
     """
 
     def __init__(
@@ -120,6 +124,7 @@ class FakeLab:
         limits: Limits | None = None,
         policy: Policy | None = None,
         has_trigger: bool = True,
+        proof: Proof = "proven",
     ) -> None:
         self.data, self.clock = data, clock
         self.fake = rig or fake_rig(clock)
@@ -127,11 +132,14 @@ class FakeLab:
             self.fake.rig = replace(self.fake.rig, trigger=None, shaker=None)
         self.limits, self.policy = limits or Limits(), policy or Policy()
         self.free_bytes = 10**12
+        self.proof = proof
         self.exposures_s: dict[str, tuple[float, ...]] = dict.fromkeys(self.fake.rig.cameras, (0.5, 1.0, 2.0))
         self.rig_digest = ""
         self.measurer = FakeMeasurer()
         self.journal: Journal
         self.engine: Engine
+        self.keeper: TableKeeper
+        self._keeping: asyncio.Task[None]
         self._run: asyncio.Task[None] | None = None
 
     @property
@@ -145,6 +153,7 @@ class FakeLab:
         self.journal = Journal(self.data, self.clock, synchronous="OFF")
         recorder = Recorder(self.journal, InlineLine("journal", lambda: 0.0))
         table = Table(self.fake.rig, self.clock, self.limits.gauge_disagreement)
+        table.observer.proof = self.proof
         lab = Lab(self.fake.rig, table, recorder, self.clock, self.data)
         measuring = Measuring(recorder, self.measurer, self.clock, self.data)
         self.engine = Engine(
@@ -156,7 +165,10 @@ class FakeLab:
             free_bytes=lambda: self.free_bytes,
             policy=self.policy,
         )
+        self.keeper = TableKeeper(self.fake.rig, table, self.clock)
+        self.keeper.report, self.keeper.trip = self.engine.report, self.engine.trip
         self._run = asyncio.create_task(self.engine.run())
+        self._keeping = asyncio.create_task(self.keeper.run())
 
     def plan(self, toml: str) -> Plan:
         """A campaign's plan for this lab."""
@@ -171,7 +183,8 @@ class FakeLab:
         """What kill -9 does to the engine, as far as one process can do that to itself: nothing is put in order."""
         if self._run is not None:
             self._run.cancel()
-            await asyncio.gather(self._run, return_exceptions=True)
+            self._keeping.cancel()
+            await asyncio.gather(self._run, self._keeping, return_exceptions=True)
         await self.engine.measuring.cancel()
         self.journal.close()
         self._run = None

@@ -79,17 +79,24 @@ class Guard:
         while True:
             if trigger is not None and table.enabled:
                 try:
-                    await trigger.urgent(lambda driver: driver.heartbeat(), self.pace.heartbeat_s)
+                    await trigger.observe(lambda driver: driver.heartbeat(), self.pace.heartbeat_s)
                 except DeviceRefused as exc:
-                    table.enabled = False
+                    table.enabled, table.observer.line_down = False, True
                     if table.excitation is not None:
-                        self.trip(InterlockError(f"the amplifier's enable line is down ({exc})"))
+                        self.trip(self._line_fell(trigger.driver.name, exc))
                 except DeviceError as exc:
                     self._missed(trigger.driver.name, exc)
                 else:
                     self._misses[trigger.driver.name] = 0
             self.beats += 1
             await self.lab.clock.sleep(self.pace.heartbeat_s)
+
+    def _line_fell(self, device: str, exc: DeviceRefused) -> LabdaemonError:
+        """Why the enable line is down: a wire that was lost may be tried again, anything else waits for a person."""
+        if self._misses.get(device, 0):
+            self._misses[device] = 0
+            return DeviceError("its enable line fell while its wire was lost", device=device)
+        return InterlockError(f"the amplifier's enable line is down ({exc})")
 
     async def _gauges(self) -> None:
         while True:
@@ -120,6 +127,7 @@ class Guard:
             reason = interlocks.response_reason(self.limits, now, self._seen)
             self._seen = now
         elif self.lab.table.settled is not None:
+            self.lab.table.observer.learn_noise(reading, duration_s)
             reason = interlocks.table_reason(self.limits, excitation.amplitude_mm, now)
         if reason is not None:
             self.trip(InterlockError(reason))

@@ -74,7 +74,8 @@ class ManualCaptures:
         self._failed = failed
         self._lab, self._reporter, self._window_s = lab, reporter, window_s
         self.measuring = measuring
-        self._turn = asyncio.Lock()
+        self.turn = asyncio.Lock()
+        """Held while a capture is taken, and by whoever moves the table meanwhile."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._expected: deque[ExpectedRelease] = deque()
         self._arrivals = Arrivals(tuple(lab.rig.cameras), window_s)
@@ -112,7 +113,7 @@ class ManualCaptures:
             raise InvalidParams(f"group {group!r} is the name of a capture, or of a planned group; take another one")
         if self._lab.rig.trigger is None:
             return await self._expect(request, campaign)
-        await self._turn.acquire()
+        await self.turn.acquire()
         fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
         task = self._start(self._take(request, campaign, fired))
         task.add_done_callback(lambda task: self._taken(task, fired))
@@ -129,7 +130,7 @@ class ManualCaptures:
             lambda: None,
             window_s=self._window_s,
             arrivals=self._arrivals,
-            turn=self._turn,
+            turn=self.turn,
         )
         async with aclosing(walker.releases(None)) as releases:
             async for firing, files in releases:
@@ -292,7 +293,7 @@ class ManualCaptures:
 
     def _taken(self, task: asyncio.Task[None], fired: asyncio.Future[CaptureRecord]) -> None:
         """However it ended, the turn is given back and who waits for the opening is answered."""
-        self._turn.release()
+        self.turn.release()
         error = None if task.cancelled() else task.exception()
         if not fired.done():
             fired.set_exception(error or LabdaemonError("the capture was given up before the shutters opened"))

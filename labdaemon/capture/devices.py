@@ -19,11 +19,15 @@ from labdaemon.guardian.recipe import StopRecipe
 
 @dataclass(frozen=True, slots=True)
 class ShakerState:
-    """What the controller itself says it is doing. Amplitude is the table's, zero to peak."""
+    """What the controller itself says it is doing. Amplitude is the table's, zero to peak.
+
+    `amplifier_on` is the state of the amplifier behind it, None from a controller that does not report it.
+    """
 
     running: bool
     frequency_hz: float
     amplitude_mm: float
+    amplifier_on: bool | None = None
 
 
 @runtime_checkable
@@ -49,7 +53,10 @@ class Shaker(Protocol):
         ...
 
     def stop_now(self) -> None:
-        """Hard stop: output off at once, needing no earlier state. Works right after `connect`, in every state."""
+        """Hard stop: output off at once, needing no earlier state. Works right after `connect`, in every state.
+
+        A driver whose class says ``reopens = True`` opens a broken wire anew by itself; others are connected to first.
+        """
         ...
 
     def close(self) -> None:
@@ -91,7 +98,10 @@ class Firing:
 
 @runtime_checkable
 class Trigger(Protocol):
-    """Whatever releases the shutters. It may also hold the shaker's enable line by a heartbeat."""
+    """Whatever releases the shutters. It may also hold the shaker's enable line by a heartbeat.
+
+    A driver without such a line says ``holds_enable = False`` in its class.
+    """
 
     name: str
 
@@ -122,7 +132,7 @@ class Trigger(Protocol):
         ...
 
     def drop_enable(self) -> None:
-        """Drop the enable line now; only `raise_enable` brings it back."""
+        """Drop the enable line now; only `raise_enable` brings it back. For ``reopens`` see `Shaker.stop_now`."""
         ...
 
     def close(self) -> None:

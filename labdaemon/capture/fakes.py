@@ -63,6 +63,10 @@ class FakeWorld:
         Structure's amplitude over the table's, in steady state.
     stopped_at
         Monotonic times of every stop command that reached the shaker.
+    deaf
+        The shaker confirms every stop, and its amplifier moves the table on; the enable line is wired to nothing.
+    line_wired
+        Whether the enable line goes to the amplifier.
     """
 
     clock: Clock
@@ -75,6 +79,8 @@ class FakeWorld:
     before_mm: float = 0.0
     heartbeat_at: float = -1e9
     enabled: bool = False
+    deaf: bool = False
+    line_wired: bool = True
     faults: dict[str, deque[FaultKind]] = field(default_factory=dict)
     faults_met: int = 0
     stopped_at: list[float] = field(default_factory=list)
@@ -122,7 +128,9 @@ class FakeWorld:
 
     def moves(self) -> bool:
         """Whether the table shakes: told to, and the amplifier still enabled."""
-        return self.running and self.is_enabled()
+        if self.deaf:
+            return self.amplitude_mm > 0
+        return self.running and (not self.line_wired or self.is_enabled())
 
     def drive(self, running: bool, frequency_hz: float, amplitude_mm: float) -> None:
         """Change the excitation; the structure follows with its own time constant."""

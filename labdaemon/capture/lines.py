@@ -1,8 +1,8 @@
 """One thread a device: its blocking calls wait there, with a deadline, and never hold up the event loop.
 
 A call that outlasts its deadline is given up: its thread is abandoned (Python cannot stop it) and the next call gets a
-new one. Urgent calls, a hard stop above all, go past whatever the device is busy with; drivers take them from any
-thread at any time.
+new one. Urgent calls, a hard stop above all, go past whatever the device is busy with, and questions that only watch it
+have a thread of their own too; drivers take them from any thread at any time.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ import asyncio
 import queue
 import threading
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 from labdaemon.errors import TransportError
 
 T = TypeVar("T")
+
+Lane = Literal["call", "urgent", "observe"]
 
 MAX_STUCK = 8
 """Threads that may hang in one device's driver at a time before no more calls are made."""
@@ -30,6 +32,10 @@ class Line(Protocol):
 
     async def urgent(self, function: Callable[[], T], timeout_s: float) -> T:
         """Call it now, whatever the device is busy with."""
+        ...
+
+    async def observe(self, function: Callable[[], T], timeout_s: float) -> T:
+        """Ask meanwhile, in turn with other such questions only: a stop never waits behind one."""
         ...
 
     def close(self) -> None:
@@ -66,37 +72,34 @@ class DeviceLine:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._worker: _Worker | None = None
-        self._urgent: _Worker | None = None
+        self._workers: dict[Lane, _Worker] = {}
         self._abandoned: list[_Worker] = []
 
     async def call(self, function: Callable[[], T], timeout_s: float) -> T:
-        if self._worker is None:
-            self._worker = _Worker(self._device)
-        worker = self._worker
-        try:
-            return await self._wait(worker, function, timeout_s)
-        except TimeoutError:
-            if self._worker is worker:
-                self._worker = None
-            raise self._give_up(worker, timeout_s) from None
+        return await self._call("call", function, timeout_s)
 
     async def urgent(self, function: Callable[[], T], timeout_s: float) -> T:
-        if self._urgent is None:
-            self._urgent = _Worker(f"{self._device} (urgent)")
-        worker = self._urgent
+        return await self._call("urgent", function, timeout_s)
+
+    async def observe(self, function: Callable[[], T], timeout_s: float) -> T:
+        return await self._call("observe", function, timeout_s)
+
+    def close(self) -> None:
+        for worker in self._workers.values():
+            worker.put(None)
+        self._workers.clear()
+
+    async def _call(self, lane: Lane, function: Callable[[], T], timeout_s: float) -> T:
+        worker = self._workers.get(lane)
+        if worker is None:
+            name = self._device if lane == "call" else f"{self._device} ({lane})"
+            worker = self._workers[lane] = _Worker(name)
         try:
             return await self._wait(worker, function, timeout_s)
         except TimeoutError:
-            if self._urgent is worker:
-                self._urgent = None
+            if self._workers.get(lane) is worker:
+                del self._workers[lane]
             raise self._give_up(worker, timeout_s) from None
-
-    def close(self) -> None:
-        for worker in (self._worker, self._urgent):
-            if worker is not None:
-                worker.put(None)
-        self._worker = self._urgent = None
 
     async def _wait(self, worker: _Worker, function: Callable[[], T], timeout_s: float) -> T:
         self._abandoned = [worker for worker in self._abandoned if worker.is_busy]
@@ -170,6 +173,9 @@ class InlineLine:
         if error is not None:
             raise error
         return result  # type: ignore[return-value]
+
+    async def observe(self, function: Callable[[], T], timeout_s: float) -> T:
+        return await self.urgent(function, timeout_s)
 
     def close(self) -> None:
         """Nothing to end."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
 from labdaemon.capture.devices import Camera, Gauge, Shaker, Trigger
 from labdaemon.capture.lines import Line
-from labdaemon.errors import DeviceError, DriverFault, InterlockError, LabdaemonError
+from labdaemon.errors import DeviceError, DriverFault, LabdaemonError
 
 log = logging.getLogger(__name__)
 
@@ -20,10 +20,14 @@ T = TypeVar("T")
 CALL_S = 10.0
 """Deadline of an ordinary call; drivers' own are shorter."""
 
-SOFT_STOP_S = 15.0
-"""A ramp from full stroke to rest takes this long at most."""
+SOFT_STOP_S = 8.0
+"""A ramp from full stroke to rest takes this long at most; drivers notice a silent wire long before."""
 
-HARD_STOP_S = 2.0
+HARD_STOP_S = 4.0
+"""A hard stop may open the wire anew once, and identify the device again."""
+
+OBSERVE_S = 1.0
+"""A question that only watches, on a wire that is slow but lives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +46,11 @@ class Wired(Generic[D]):
         """Call it at once, whatever it is busy with."""
         with self._as_device_error():
             return await self.line.urgent(lambda: function(self.driver), timeout_s)
+
+    async def observe(self, function: Callable[[D], T], timeout_s: float = OBSERVE_S) -> T:
+        """Ask it meanwhile, behind other such questions only; see `Line.observe`."""
+        with self._as_device_error():
+            return await self.line.observe(lambda: function(self.driver), timeout_s)
 
     @contextmanager
     def _as_device_error(self) -> Iterator[None]:
@@ -80,53 +89,3 @@ class Rig:
                 pass  # it is gone already; nothing else hangs on it
             finally:
                 device.line.close()
-
-
-@dataclass(frozen=True, slots=True)
-class Rest:
-    """How the table was brought to rest.
-
-    Attributes
-    ----------
-    by
-        ``soft`` and ``hard`` are the shaker's own confirmed stops, ``enable`` the trigger box's line to the
-        amplifier, ``none`` that there is no shaker of ours.
-    troubles
-        What each way that was tried before answered.
-    """
-
-    by: Literal["soft", "hard", "enable", "none"]
-    troubles: tuple[str, ...] = ()
-
-
-async def bring_to_rest(rig: Rig, *, at_once: bool = False) -> Rest:
-    """Stop the table: ramp down; if that is not confirmed, output off; if that is not, drop the enable line.
-
-    Parameters
-    ----------
-    at_once
-        Leave out the ramp.
-
-    Raises
-    ------
-    InterlockError
-        Nothing confirmed. The message says to use the emergency stop.
-    """
-    if rig.shaker is None:
-        return Rest("none")
-    shaker, trigger = rig.shaker, rig.trigger
-    ways: list[tuple[Literal["soft", "hard", "enable"], Callable[[], Coroutine[Any, Any, None]]]] = []
-    if not at_once:
-        ways.append(("soft", lambda: shaker.urgent(lambda driver: driver.stop(), SOFT_STOP_S)))
-    ways.append(("hard", lambda: shaker.urgent(lambda driver: driver.stop_now())))
-    if trigger is not None:
-        ways.append(("enable", lambda: trigger.urgent(lambda driver: driver.drop_enable())))
-    troubles: list[str] = []
-    for by, stop in ways:
-        try:
-            await stop()
-        except DeviceError as exc:
-            troubles.append(str(exc))
-        else:
-            return Rest(by, tuple(troubles))
-    raise InterlockError(f"THE TABLE DID NOT CONFIRM A STOP ({'; '.join(troubles)}): use the emergency stop")

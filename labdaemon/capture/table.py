@@ -7,10 +7,13 @@ import math
 from collections.abc import Callable
 
 from labdaemon.capture.devices import GaugeReading
-from labdaemon.capture.rig import Rest, Rig, bring_to_rest
+from labdaemon.capture.evidence import TableState
+from labdaemon.capture.observer import TableObserver
+from labdaemon.capture.rest import PATIENCE_S, Rest, bring_to_rest
+from labdaemon.capture.rig import Rig
 from labdaemon.capture.settle import Excitation, Settled, ring_s, wait_settled
 from labdaemon.clock import Clock
-from labdaemon.errors import DeviceError, InterlockError
+from labdaemon.errors import DeviceError, InterlockError, RestUnconfirmed
 
 SET_S = 60.0
 """A ramp between two excitations takes this long at most."""
@@ -60,6 +63,21 @@ class Table:
         """Called before the first command that moves it is sent; what it raises keeps the table at rest."""
         self.may_move = True
         """False once rest was confirmed, until something is sent that moves it: what a guardian goes by."""
+        self.observer = TableObserver(rig, clock)
+        self.unconfirmed: RestUnconfirmed | None = None
+        """What the latest stop was that nothing confirmed; None once the table was seen to rest."""
+
+    @property
+    def state(self) -> TableState | None:
+        """``moving`` while it is set to move, else what is seen of it; None without a shaker of ours."""
+        if self._rig.shaker is None:
+            return None
+        return "moving" if self.excitation is not None else self.observer.state()
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether a stop is in progress."""
+        return self._stopping.locked()
 
     async def shake(self, excitation: Excitation) -> Settled:
         """Bring table and structure to this excitation and wait until they have settled.
@@ -105,17 +123,51 @@ class Table:
             await self._clock.sleep(ring_s(last_hz, 0.01))
             self._last_hz = None
 
-    async def stop(self, *, at_once: bool = False) -> Rest:
-        """Bring the table to rest now, whatever it is doing; see `bring_to_rest`."""
+    async def stop(self, *, at_once: bool = False, patience_s: float = PATIENCE_S) -> Rest:
+        """Bring the table to rest now, whatever it is doing, and see that it rests; see `bring_to_rest`.
+
+        Raises
+        ------
+        RestUnconfirmed
+            Nothing confirmed within `patience_s`.
+        """
         self._stops += 1
         self.excitation = self.settled = None
         self.on_stop()
         async with self._stopping:
-            rest = await bring_to_rest(self._rig, at_once=at_once)
-            self.may_move = self.excitation is not None
-        if rest.by == "enable":
-            self.enabled = False
+            try:
+                rest = await bring_to_rest(
+                    self._rig, self.observer, self._clock, at_once=at_once, patience_s=patience_s
+                )
+                self.may_move = self.excitation is not None
+            except RestUnconfirmed as exc:
+                self.unconfirmed = exc
+                raise
+            finally:
+                if self.observer.line_down:
+                    self.enabled = False
+        self.unconfirmed = None
         return rest
+
+    async def excite(self, excitation: Excitation) -> None:
+        """Bring the table to this excitation, without waiting until the structure has settled.
+
+        Raises
+        ------
+        DeviceError
+            The shaker did not take it.
+        InterlockError
+            Somebody stopped the table meanwhile.
+        """
+        await self._set(excitation)
+
+    async def drop_line(self) -> None:
+        """Drop the enable line alone, on purpose: the shaker's output stays as it is."""
+        if self._rig.trigger is None:
+            return
+        self.enabled = False  # before it is down, so that no heartbeat finds it so
+        await self._rig.trigger.urgent(lambda driver: driver.drop_enable())
+        self.observer.line_down = True
 
     async def confirm(self) -> None:
         """Ask the controller whether it still does what it was set to.
@@ -148,11 +200,16 @@ class Table:
         async with self._stopping:
             pass  # a stop that is under way comes first
         self._refuse_if_stopped(stops)
+        if self.unconfirmed is not None:
+            raise DeviceError(
+                f"nothing is moved before the table was seen to rest: {self.unconfirmed}", device="shaker"
+            )
         self.before_motion()
         self.may_move = True
         await self._enable()
         self.excitation, self.settled = excitation, None
-        self._last_hz = excitation.frequency_hz
+        self._last_hz = self.observer.frequency_hz = excitation.frequency_hz
+        self.observer.forget()
         await self._rig.shaker.call(lambda driver: driver.set(excitation.frequency_hz, excitation.amplitude_mm), SET_S)
         self._refuse_if_stopped(stops)
 
@@ -162,7 +219,7 @@ class Table:
             return
         await self._rig.shaker.call(lambda driver: driver.stop_now())
         await self._rig.trigger.call(lambda driver: driver.raise_enable())
-        self.enabled = True
+        self.enabled, self.observer.line_down = True, False
 
     def _refuse_if_stopped(self, stops: int) -> None:
         if self._stops != stops:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+from labdaemon.errors import InterlockError, LabdaemonError
+
+if TYPE_CHECKING:
+    from labdaemon.service.safe_stop import HeldTable
 
 
 @click.command()
@@ -19,9 +25,29 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as JSON once it serves.")
 def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool) -> None:
     """Run the daemon for the rig of CONFIG until Ctrl-C or SIGTERM."""
+    from labdaemon.service.logs import set_up_logs
+    from labdaemon.service.safe_stop import take_table
+    from labdaemon.service.signals import exit_status
+
+    set_up_logs()
+    # First of all the table: nothing that may be refused below can keep it moving.
+    held = take_table(config)
+    try:
+        if held.signal is not None:
+            sys.exit(1 if held.unconfirmed is not None else exit_status(held.signal))
+        sys.exit(_run(config, data, new_journal, accept_changed_rig, as_json, held))
+    except LabdaemonError as exc:
+        raise _unrested(exc, held) from exc
+    finally:
+        if held.lock is not None:
+            held.lock.release()
+
+
+def _run(
+    config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool, held: HeldTable
+) -> int:
     from labdaemon.service.config import load_rig
     from labdaemon.service.daemon import Options, run_daemon
-    from labdaemon.service.logs import set_up_logs
 
     def ready(commands: str, events: str) -> None:
         line = json.dumps({"commands": commands, "events": events})
@@ -29,17 +55,22 @@ def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: 
         sys.stdout.flush()
 
     rig = load_rig(config)
-    set_up_logs()
-    sys.exit(run_daemon(rig, Options(data, new_journal, accept_changed_rig), ready=ready))
+    return run_daemon(rig, Options(data, new_journal, accept_changed_rig), ready=ready, lock=held.lock)
+
+
+def _unrested(exc: LabdaemonError, held: HeldTable) -> LabdaemonError:
+    """The error that ends the process: whoever started it learns of a table that was not seen to rest, first of all."""
+    if held.unconfirmed is None or isinstance(exc, InterlockError):
+        return exc
+    return InterlockError(f"{held.unconfirmed}. Moreover: {exc}")
 
 
 @click.command("safe-stop")
 @click.argument("config", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def safe_stop(config: Path, as_json: bool) -> None:
-    """Bring the table of CONFIG to rest, whatever has become of the daemon: opens shaker and trigger, nothing else."""
-    from labdaemon.service.config import load_rig
+    """Bring the table of CONFIG to rest, by its daemon where one lives, else by shaker and trigger and nothing else."""
     from labdaemon.service.safe_stop import stop_table
 
-    told = stop_table(load_rig(config, check_drivers=False, check_files=False))
-    click.echo(json.dumps({"result": told}) if as_json else told)
+    said = stop_table(config)
+    click.echo(json.dumps({"result": said, "table": "rest"}) if as_json else said)

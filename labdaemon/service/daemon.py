@@ -1,8 +1,8 @@
 """The daemon from its first moment to its last: it holds the table.
 
-First the data folder and the commands socket, which prove that no other daemon holds this rig; then the table to rest,
-before anything else; then everything that serves (`labdaemon.service.serving`, which takes a second to load). On every
-way out, asked for or not, the table comes to rest first.
+First the shaker's lock, which keeps other daemons off this table, then the table to rest; then the data folder, the
+commands socket, the journal and everything that serves (`labdaemon.service.serving`, which takes a second to load). On
+every way out, asked for or not, the table comes to rest first, and the exit status says whether it was seen to.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdaemon.capture.rig import Rig, bring_to_rest
+from labdaemon.capture.keeper import TableKeeper
+from labdaemon.capture.rig import Rig
 from labdaemon.capture.table import Table
 from labdaemon.clock import Clock, SystemClock
-from labdaemon.errors import LabdaemonError
+from labdaemon.errors import RestUnconfirmed
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.storage import DataLock
 from labdaemon.service.config import RigConfig
@@ -28,7 +29,9 @@ from labdaemon.service.desk import Desk
 from labdaemon.service.devices import build_rig, connect_stoppers
 from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
 from labdaemon.service.guarding import Guardian
+from labdaemon.service.shaker_lock import ShakerLock
 from labdaemon.service.signals import ending_signals, exit_status, forbid_core_dumps, ignore_suspension, name_of
+from labdaemon.service.supervise import supervise
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.commands import CommandServer
 
@@ -65,9 +68,9 @@ MakeMeasurer = Callable[["WorkerPool", Journal], "Measurer"]
 """What measures stored captures; a crash test has it measured cheaply."""
 
 
-@dataclass(slots=True)
-class Held:
-    """What the daemon holds while it serves."""
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """The table as the daemon holds it from its first moment to its last."""
 
     config: RigConfig
     options: Options
@@ -75,6 +78,25 @@ class Held:
     clock: Clock
     rig: Rig
     table: Table
+    keeper: TableKeeper
+    keeping: asyncio.Task[None]
+    guardian: Guardian | None
+    ready: Ready
+    measurer: MakeMeasurer | None
+
+
+@dataclass(slots=True)
+class Held:
+    """What the daemon holds while it serves: the table as `Hold` says, and what it has opened since."""
+
+    config: RigConfig
+    options: Options
+    data: Path
+    clock: Clock
+    rig: Rig
+    table: Table
+    keeper: TableKeeper
+    keeping: asyncio.Task[None]
     journal: Journal
     commands: CommandServer
     desk: Desk
@@ -90,23 +112,39 @@ def run_daemon(
     *,
     ready: Ready = lambda *_: None,
     measurer: MakeMeasurer | None = None,
+    lock: ShakerLock | None = None,
 ) -> int:
-    """Run until told to end, and return the exit status.
+    """Run until it is asked to end, and return the exit status.
 
     Parameters
     ----------
+    lock
+        The shaker's, where the caller holds it; else it is taken here.
     measurer
         Makes what measures; None for the worker pool's own.
 
     Raises
     ------
+    LockHeld
+        Another daemon holds the shaker; its table was left alone.
+    RestUnconfirmed
+        The table was not seen to come to rest, however the daemon ended.
     LabdaemonError
         It could not start, or a part of it failed for good. The table is at rest.
     """
-    return asyncio.run(_run(config, options or Options(), ready, measurer))
+    own: ShakerLock | None = None
+    if lock is None and config.shaker is not None:
+        lock = own = ShakerLock(config.shaker.port, "daemon", config=str(config.source))
+    try:
+        return asyncio.run(_run(config, options or Options(), ready, measurer, lock))
+    finally:
+        if own is not None:
+            own.release()
 
 
-async def _run(config: RigConfig, options: Options, ready: Ready, measurer: MakeMeasurer | None) -> int:
+async def _run(
+    config: RigConfig, options: Options, ready: Ready, measurer: MakeMeasurer | None, lock: ShakerLock | None
+) -> int:
     loop = asyncio.get_running_loop()
     end: asyncio.Future[int] = loop.create_future()
 
@@ -119,67 +157,66 @@ async def _run(config: RigConfig, options: Options, ready: Ready, measurer: Make
         loop.add_signal_handler(number, ask_to_end, number)
     ignore_suspension()
     forbid_core_dumps()
-    data = (options.data or config.data).resolve()
-    rig = build_rig(config)
-    lock = DataLock(data)
-    desk = Desk()
-    commands = CommandServer(config.service.commands, desk.handlers(), desk)
-    try:
-        commands.bind()
-        async with AsyncExitStack() as afterwards:
-            return await _hold_table(config, options, data, rig, lock, commands, desk, ready, measurer, end, afterwards)
-    finally:
-        commands.close()
-        lock.release()
-
-
-async def _hold_table(
-    config: RigConfig,
-    options: Options,
-    data: Path,
-    rig: Rig,
-    lock: DataLock,
-    commands: CommandServer,
-    desk: Desk,
-    ready: Ready,
-    measurer: MakeMeasurer | None,
-    end: asyncio.Future[int],
-    afterwards: AsyncExitStack,
-) -> int:
-    """From the first word to the table until the last; the guardian is let go `afterwards`."""
-    clock = SystemClock()
+    clock, rig = SystemClock(), build_rig(config)
     table = Table(rig, clock, config.interlocks.gauge_disagreement)
+    data = (options.data or config.data).resolve()
     last_resort = _last_resort(rig)
+    atexit.register(last_resort)
     if config.shaker is not None:
         await asyncio.to_thread(wait_for_guardian, config.shaker.port)
+    async with AsyncExitStack() as afterwards:  # the guardian is let go after the last stop
+        try:
+            await _come_to_rest(table)
+            guardian = await afterwards.enter_async_context(guarded_table(config, rig, table, data, clock))
+            keeper = TableKeeper(rig, table, clock)
+            keeping = asyncio.create_task(supervise("keeper", keeper.run, clock))
+            afterwards.callback(keeping.cancel)
+            hold = Hold(config, options, data, clock, rig, table, keeper, keeping, guardian, ready, measurer)
+            return await _open(hold, lock, end)
+        finally:
+            notify("STOPPING=1")
+            try:
+                await table.stop()  # what it raises is how the process ends, whatever came before
+                atexit.unregister(last_resort)
+            finally:
+                await rig.close()
+
+
+async def _come_to_rest(table: Table) -> None:
+    """The table to rest, before anything else; where that is not confirmed, the keeper tries on."""
     try:
-        identities = await connect_stoppers(rig)
-        atexit.register(last_resort)
-        guardian = await afterwards.enter_async_context(guarded_table(config, rig, table, data, clock))
-        rest = await bring_to_rest(rig, at_once=True)
-        table.may_move = False  # the imports below hold up the heartbeat for seconds on a busy machine
+        rest = await table.stop(at_once=True)
+    except RestUnconfirmed as exc:
+        log.critical("%s", exc)
+    else:
         log.info("table at rest (%s)", rest.by)
-        journal = Journal(data, clock, replace_damaged=options.new_journal, lock=lock)
+
+
+async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -> int:
+    """Take data folder, commands socket and journal, and serve until the end."""
+    data_lock, desk = DataLock(hold.data), Desk()
+    commands = CommandServer(hold.config.service.commands, desk.handlers(), desk)
+    try:
+        commands.bind()
+        if lock is not None:
+            lock.note(commands=commands.address)
+        journal = Journal(hold.data, hold.clock, replace_damaged=hold.options.new_journal, lock=data_lock)
         try:
             # Loading what measures takes longer than bringing the table to rest, so it comes after; in a thread, so
             # that the heartbeat goes out meanwhile.
             serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
+            identities = await connect_stoppers(hold.rig)
             held = Held(
-                config, options, data, clock, rig, table, journal, commands, desk, guardian, identities, ready, measurer
-            )
+                hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.keeper, hold.keeping,
+                journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
+            )  # fmt: skip
             status: int = await serving.serve(held, end)
             return status
         finally:
             journal.close()
     finally:
-        notify("STOPPING=1")
-        try:
-            await table.stop()
-        except LabdaemonError as exc:
-            log.critical("%s", exc)
-        else:
-            atexit.unregister(last_resort)
-        await rig.close()
+        commands.close()
+        data_lock.release()
 
 
 def _last_resort(rig: Rig) -> Callable[[], None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +12,8 @@ from labdaemon.capture.lines import DeviceLine
 from labdaemon.capture.rig import CALL_S, Rig, Wired
 from labdaemon.errors import DeviceError
 from labdaemon.service.config import RigConfig, find_driver
+
+log = logging.getLogger(__name__)
 
 CONNECT_S = 20.0
 """A body that was asleep, or a port that a replug moved, takes its time."""
@@ -52,27 +55,17 @@ def camera_choices(config: RigConfig) -> dict[str, CameraChoice]:
 async def connect_stoppers(rig: Rig) -> dict[str, str]:
     """Reach whatever can stop the table, shaker and trigger, and return their identities; starts nothing.
 
-    Raises
-    ------
-    DeviceError
-        One did not answer. The other has been tried, and the enable line dropped if that is what is left.
+    One that does not answer is left out: whoever keeps the table goes on trying to reach it.
     """
     found: dict[str, str] = {}
-    failed: DeviceError | None = None
     for name, device in (("trigger", rig.trigger), ("shaker", rig.shaker)):
         if device is None:
             continue
         try:
             found[name] = await device.call(lambda driver: driver.connect(), CONNECT_S)
         except DeviceError as exc:
-            failed = exc
-    if failed is None:
-        return found
-    if "shaker" in found and rig.shaker is not None:
-        await rig.shaker.urgent(lambda driver: driver.stop_now())
-    elif "trigger" in found and rig.trigger is not None:
-        await rig.trigger.urgent(lambda driver: driver.drop_enable())
-    raise failed
+            log.error("%s", exc)
+    return found
 
 
 async def connect_others(rig: Rig) -> dict[str, str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.steps import Plan
+from labdaemon.capture.evidence import describe
 from labdaemon.capture.places import campaign_folder
 from labdaemon.off_loop import off_loop
 from labdaemon.service.capture_parameters import capture_request
@@ -69,7 +70,9 @@ def handlers(
     async def stop(params: dict[str, Any]) -> Any:
         # Parameters of any name are let through: nothing may keep the table from being stopped.
         rest = await engine.stop()
-        return {"rest": rest.by, "troubles": list(rest.troubles)}
+        table = engine.lab.table.state
+        seen = describe(rest.seen) if table is not None else None
+        return {"rest": rest.by, "table": table, "seen": seen, "troubles": list(rest.troubles)}
 
     async def replay_events(params: dict[str, Any]) -> Any:
         Parameters(params, "after", "limit")

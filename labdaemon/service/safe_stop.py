@@ -1,49 +1,158 @@
-"""Stops the table without the daemon: what systemd runs after it, however it ended."""
+"""The table to rest without a daemon, and before one: needs [shaker] and [trigger] of the rig file and nothing else.
+
+`safe-stop` is what a person types, and what systemd runs after the daemon however it ended. `run` does the same before
+it reads the rest of its rig file. Beside a daemon that lives, `safe-stop` asks that one to stop.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+import logging
+from dataclasses import dataclass
+from pathlib import Path
 
-from labdaemon.capture.rig import Rig, Wired, bring_to_rest
-from labdaemon.errors import DeviceError, InterlockError
-from labdaemon.service.config import RigConfig
-from labdaemon.service.devices import CONNECT_S, build_stoppers
+from labdaemon.capture.evidence import describe
+from labdaemon.capture.observer import TableObserver
+from labdaemon.capture.rest import PATIENCE_S, Rest, bring_to_rest, unconfirmed
+from labdaemon.clock import SystemClock
+from labdaemon.errors import InterlockError, LabdaemonError
+from labdaemon.service.guardian_context import wait_for_guardian
+from labdaemon.service.shaker_lock import LockHolder, ShakerLock, lock_holder
+from labdaemon.service.signals import ending_signals
+from labdaemon.service.stoppers import Stoppers, read_stoppers
+
+log = logging.getLogger(__name__)
+
+ASK_S = 10.0
+"""How long a living daemon may take to stop its table before it is stopped past it."""
 
 
-def stop_table(config: RigConfig) -> str:
-    """Bring the table to rest and say how.
+@dataclass(frozen=True, slots=True)
+class HeldTable:
+    """A table that was brought to rest before its daemon began.
+
+    Attributes
+    ----------
+    lock
+        Keeps other daemons off; None where the shaker's port is not known.
+    unconfirmed
+        Why rest was not confirmed; None where it was, or there is no shaker.
+    signal
+        A signal that came meanwhile and asks to end; None if none came.
+    """
+
+    lock: ShakerLock | None
+    unconfirmed: InterlockError | None
+    signal: int | None
+
+
+def take_table(path: Path) -> HeldTable:
+    """Bring the table of a rig file to rest before the file is read in full, and keep other daemons off it.
+
+    Raises
+    ------
+    LockHeld
+        Another daemon holds the shaker; its table was left alone.
+    ConfigError
+        The file cannot be read at all.
+    """
+    stoppers = read_stoppers(path)
+    lock = None
+    if stoppers.port is not None:
+        lock = ShakerLock(stoppers.port, "daemon", config=str(path))
+        wait_for_guardian(stoppers.port)
+    signals: list[int] = []
+    try:
+        rest = asyncio.run(_stop(stoppers, signals))
+    except InterlockError as exc:
+        log.critical("%s", exc)
+        return HeldTable(lock, exc, signals[0] if signals else None)
+    log.info("%s", _sentence(rest))
+    return HeldTable(lock, None, signals[0] if signals else None)
+
+
+def stop_table(path: Path) -> str:
+    """Bring the table of a rig file to rest, and say what was seen of it.
 
     Raises
     ------
     InterlockError
-        Neither shaker nor trigger confirmed.
+        Nothing that can see confirmed it. The message names the emergency stop.
+    ConfigError
+        The file cannot be read at all.
     """
-    return asyncio.run(_stop(build_stoppers(config)))
+    stoppers = read_stoppers(path)
+    holder = lock_holder(stoppers.port, "daemon") if stoppers.port is not None else None
+    if holder is not None:
+        answer = _ask(holder)
+        if answer is not None:
+            return answer
+        log.warning("the daemon (process %s) does not answer: the table is stopped past it", holder.pid)
+        stoppers = read_stoppers(path, exclusive=False)
+    elif stoppers.port is not None:
+        wait_for_guardian(stoppers.port)
+    return _sentence(asyncio.run(_stop(stoppers, [])))
 
 
-async def _stop(rig: Rig) -> str:
-    if rig.shaker is None:
-        return "the rig has no shaker"
-    troubles: list[str] = []
-    shaker = rig.shaker if await _reach(rig.shaker, troubles) else None
-    trigger = rig.trigger if rig.trigger is not None and await _reach(rig.trigger, troubles) else None
+def _ask(holder: LockHolder) -> str | None:
+    """Ask a living daemon to stop; what it saw, None when it does not answer.
+
+    Raises
+    ------
+    InterlockError
+        It stopped all that it can, and rest is not confirmed.
+    """
+    from labdaemon.stream.client import Client, NoDaemon
+
+    if not holder.commands:
+        return None  # it has only just begun, and that with a stop
     try:
-        if shaker is None:
-            if trigger is None:
-                raise InterlockError(f"THE TABLE CANNOT BE REACHED ({'; '.join(troubles)}): use the emergency stop")
-            await trigger.urgent(lambda driver: driver.drop_enable())
-            return f"enable line dropped ({'; '.join(troubles)})"
-        rest = await bring_to_rest(Rig(shaker, trigger, {}), at_once=True)
-        return f"table at rest ({rest.by})"
+        with Client(holder.commands, timeout_s=ASK_S) as client:
+            result = client.call("stop")
+    except NoDaemon:
+        return None
+    except LabdaemonError as exc:
+        if "use the emergency stop" in str(exc):
+            raise InterlockError(f"the daemon (process {holder.pid}) says: {exc}") from exc
+        return None
+    seen = result.get("seen") if isinstance(result, dict) else None
+    return f"table at rest, by the daemon (process {holder.pid}; {seen or 'no shaker'})"
+
+
+async def _stop(stoppers: Stoppers, signals: list[int]) -> Rest:
+    """Stop to the end; signals that would end the process meanwhile are noted."""
+    loop = asyncio.get_running_loop()
+    for number in ending_signals():
+        loop.add_signal_handler(number, signals.append, number)
+    for trouble in stoppers.troubles:
+        log.warning("%s", trouble)
+    if stoppers.rig.shaker is None and not stoppers.is_without_shaker:
+        return await _stop_by_line_alone(stoppers)
+    try:
+        return await bring_to_rest(
+            stoppers.rig, TableObserver(stoppers.rig, SystemClock()), SystemClock(), at_once=True, patience_s=PATIENCE_S
+        )
     finally:
-        await Rig(shaker, trigger, {}).close()
+        await stoppers.rig.close()
 
 
-async def _reach(device: Wired[Any], troubles: list[str]) -> bool:
-    try:
-        await device.call(lambda driver: driver.connect(), CONNECT_S)
-    except DeviceError as exc:
-        troubles.append(str(exc))
-        return False
-    return True
+async def _stop_by_line_alone(stoppers: Stoppers) -> Rest:
+    """[shaker] cannot be read: the enable line is all that is left, and it was never proven here."""
+    troubles = list(stoppers.troubles) or ["[shaker] cannot be read"]
+    observer = TableObserver(stoppers.rig, SystemClock())
+    if stoppers.rig.trigger is not None:
+        try:
+            await stoppers.rig.trigger.urgent(lambda driver: driver.drop_enable())
+            troubles.append("the enable line was dropped")
+        except LabdaemonError as exc:
+            troubles.append(str(exc))
+        finally:
+            await stoppers.rig.close()
+    raise unconfirmed(observer.evidence(), troubles)
+
+
+def _sentence(rest: Rest) -> str:
+    if rest.by == "none":
+        return "the rig has no shaker"
+    troubles = f"; {'; '.join(rest.troubles)}" if rest.troubles else ""
+    return f"table at rest ({rest.by}; {describe(rest.seen)}{troubles})"

@@ -7,6 +7,7 @@ import logging
 import os
 import shutil
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -81,6 +82,7 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
         await _heed_guardian(held, engine)
         rig = _describe(held, identities, publisher.address)
         submitted = partial(_plan, held, steps, check_disk=True)
+        held.keeper.report, held.keeper.trip = engine.report, engine.trip
         held.desk.open(handlers(engine, submitted, status, rig), held.journal)
         if hook is not None:
             engine.reporter.unrecorded = hook.unrecorded
@@ -134,6 +136,7 @@ async def _run_parts(
         asyncio.create_task(supervise("events", publisher.run, held.clock)),
         asyncio.create_task(supervise("commands", held.commands.run, held.clock)),
         asyncio.create_task(engine.run()),
+        held.keeping,
         asyncio.create_task(feed(held.clock, _checks(engine), _stalled)),
     ]
     if hook is not None:
@@ -149,10 +152,8 @@ async def _run_parts(
     finally:
         for part in parts:
             part.cancel()
-        try:
-            await held.table.stop()
-        except InterlockError as exc:
-            log.critical("%s", exc)
+        with suppress(InterlockError):  # said on the way out, by the stop that decides the exit status
+            await held.table.stop(patience_s=0.0)
         await asyncio.gather(*parts, return_exceptions=True)
         await engine.measuring.cancel()
         if hook is not None:
@@ -175,10 +176,14 @@ def _engine(held: Held, recorder: Recorder, pool: WorkerPool, planner: Callable[
         lab,
         Measuring(recorder, measurer, held.clock, held.data, depth=2 * pool.workers),
         planner,
-        Limits(**interlocks.model_dump()),
+        Limits(**interlocks.model_dump(exclude={"accept_no_enable"})),
         folder_files=_folder_files(held.config),
         free_bytes=lambda: shutil.disk_usage(held.data).free,
-        policy=Policy(accept_changed_rig=held.options.accept_changed_rig, window_s=held.config.trigger.window_s),
+        policy=Policy(
+            accept_changed_rig=held.options.accept_changed_rig,
+            window_s=held.config.trigger.window_s,
+            accept_no_enable=interlocks.accept_no_enable,
+        ),
     )
     exposures = [camera.exposure_s for camera in held.config.cameras.values() if camera.exposure_s is not None]
     engine.manual.exposure_s = exposures[0] if exposures else 1.0

@@ -57,7 +57,9 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
         "last_fault": engine.reporter.last_fault,
         "queue": records.count_campaigns(journal, "queued"),
         "measuring": engine.measuring.waiting,
-        "table": "moving" if engine.lab.table.excitation is not None else "rest",
+        "table": engine.lab.table.state,
+        "enable_line": engine.line.state,
+        "accept_no_enable": engine.line.is_accepted if engine.line.state is not None else None,
         **(place or {}),
     }
     if record is not None and plan is not None:

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import zmq
 import zmq.asyncio
 
-from labdaemon.errors import ConfigError, DeviceError, LabdaemonError
+from labdaemon.errors import ConfigError, DeviceError, LabdaemonError, RestUnconfirmed
 from labdaemon.off_loop import off_loop
 from labdaemon.stream import messages
 from labdaemon.stream.gate import Gate
@@ -279,4 +279,6 @@ def _details(error: LabdaemonError) -> dict[str, Any]:
         return {"key": error.key}
     if isinstance(error, DeviceError) and error.device is not None:
         return {"device": error.device}
+    if isinstance(error, RestUnconfirmed):
+        return {"table": error.table}
     return {}

@@ -6,11 +6,10 @@ import pytest
 
 from labdaemon.capture.devices import GaugeReading
 from labdaemon.capture.fakes import fake_rig
-from labdaemon.capture.rig import bring_to_rest
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table, displacement_mm
 from labdaemon.clock import SimulatedClock
-from labdaemon.errors import DeviceError, InterlockError
+from labdaemon.errors import DeviceError, InterlockError, RestUnconfirmed
 
 QUICK = Excitation(5.0, 1.0, max_change_per_cycle=0.5)
 
@@ -99,26 +98,65 @@ def test_an_accelerometer_counts_as_displacement():
 
 @pytest.mark.parametrize(
     ("faults", "by"),
-    [({}, "soft"), ({"shaker.stop": "gone"}, "hard"), ({"shaker.stop": "silent", "shaker.stop_now": "gone"}, "enable")],
+    [
+        ({}, "soft"),
+        ({"shaker.stop": "gone"}, "hard"),
+        ({"shaker.stop": "silent", "shaker.stop_now": "refused"}, "enable"),
+    ],
 )
 def test_the_ways_to_rest_in_their_order(faults, by):
     async def scenario(fake, table, clock):
+        table.observer.proof = "proven"
         await table.shake(QUICK)
         for operation, kind in faults.items():
             fake.world.fail(operation, kind)
-        rest = await bring_to_rest(fake.rig)
+        rest = await table.stop()
         assert rest.by == by
         assert len(rest.troubles) == len(faults)
         assert not fake.world.moves()
+        assert table.state == "rest"
+
+    run(scenario)
+
+
+def test_a_line_that_was_never_proven_is_no_rest():
+    async def scenario(fake, table, clock):
+        await table.shake(QUICK)
+        fake.world.fail("shaker.stop", "gone")
+        fake.world.fail("shaker.stop_now", "refused", "refused")
+        rest = await table.stop()
+        assert rest.by == "hard"  # in the third round: the box's own answer was not enough
+        assert len(rest.troubles) == 2
 
     run(scenario)
 
 
 def test_when_nothing_confirms_it_says_to_use_the_emergency_stop():
     async def scenario(fake, table, clock):
-        for operation in ("shaker.stop", "shaker.stop_now", "trigger.drop_enable"):
-            fake.world.fail(operation, "gone")
-        with pytest.raises(InterlockError, match="use the emergency stop"):
-            await bring_to_rest(fake.rig)
+        await table.shake(QUICK)
+        for operation in ("shaker.stop", "shaker.stop_now", "shaker.state", "trigger.drop_enable", "table.read"):
+            fake.world.fail(operation, *["gone"] * 50)
+        began = clock.monotonic()
+        with pytest.raises(RestUnconfirmed, match="use the emergency stop") as caught:
+            await table.stop()
+        assert caught.value.table == "unconfirmed"
+        assert 5.0 <= clock.monotonic() - began < 8.0
+        assert table.state == "unconfirmed"
+        with pytest.raises(DeviceError, match="nothing is moved before the table was seen to rest"):
+            await table.shake(QUICK)
+
+    run(scenario)
+
+
+def test_a_table_that_its_gauge_sees_moving_is_not_at_rest():
+    async def scenario(fake, table, clock):
+        await table.shake(QUICK)
+        fake.world.deaf = True
+        with pytest.raises(RestUnconfirmed, match="THE TABLE MOVES ON") as caught:
+            await table.stop()
+        assert caught.value.table == "moving"
+        assert table.state == "moving"
+        fake.world.deaf = False
+        assert (await table.stop()).by == "soft"
 
     run(scenario)

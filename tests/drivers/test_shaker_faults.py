@@ -80,7 +80,7 @@ def test_an_output_that_stays_on_is_never_called_rest(rig, shaker):
     shaker.set(5.0, 1.0)
     rig.shaker.faults.inject("stuck_output")
     for stop in (shaker.stop, shaker.stop_now):
-        with pytest.raises(DeviceRefused, match=r"stays on although told off; drop the enable line"):
+        with pytest.raises(DeviceRefused, match=r"stays on although it was switched off; drop the enable line"):
             stop()
     rig.shaker.faults.clear()
     shaker.stop()

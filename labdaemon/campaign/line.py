@@ -1,0 +1,114 @@
+"""The enable line and campaigns: none moves the table unattended before the line was seen to stop it.
+
+The proof (`labdaemon.capture.proof`) is made when a campaign is submitted to an idle rig, so that a person who is still
+there learns of a line that is wired to nothing, and otherwise as a campaign's first act. It holds until the process
+ends. A rig file may accept that there is no such line; then a failed proof is reported and the campaign runs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import Literal
+
+from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.steps import Plan, Step
+from labdaemon.capture.capture import Lab
+from labdaemon.capture.proof import LineUnproven, can_prove, prove_line
+from labdaemon.errors import DeviceError, InterlockError
+from labdaemon.stream.messages import WrongState
+
+log = logging.getLogger(__name__)
+
+LineState = Literal["proven", "failed", "untried", "impossible"]
+
+NO_LINE = (
+    "no enable line of this rig can be proven to stop the table (it takes a trigger box that holds the amplifier's "
+    "enable line, and a table gauge or a controller that reports the amplifier's state); wire one, or set "
+    "[interlocks] accept_no_enable = true to answer for the table yourself"
+)
+
+
+class EnableLine:
+    """What campaigns ask of the enable line.
+
+    Parameters
+    ----------
+    lab
+        The rig and its table.
+    reporter
+        For a proof that failed and was accepted.
+    is_accepted
+        The rig file accepts a table without a proven line.
+    """
+
+    def __init__(self, lab: Lab, reporter: Reporter, is_accepted: bool) -> None:
+        self._lab, self._reporter, self.is_accepted = lab, reporter, is_accepted
+        self._turn = asyncio.Lock()
+
+    @property
+    def state(self) -> LineState | None:
+        """For status; None without a shaker of ours."""
+        if self._lab.rig.shaker is None:
+            return None
+        proof = self._lab.table.observer.proof
+        return "impossible" if proof == "untried" and not can_prove(self._lab.rig) else proof
+
+    async def admit(self, plan: Plan, *, is_idle: bool) -> None:
+        """Let a campaign in, proving the line first where nothing else goes on.
+
+        Raises
+        ------
+        WrongState
+            The line is not proven, and the rig file does not accept that.
+        """
+        first = next((step for step in plan.steps if _moves(step)), None)
+        if self.is_accepted or first is None or self.state in (None, "proven"):
+            return
+        if self.state == "impossible":
+            raise WrongState(NO_LINE)
+        if not is_idle:
+            return  # the campaign that runs, or waits, proves it before it moves anything
+        try:
+            await self._prove(first)
+        except DeviceError as exc:
+            log.warning("the enable line could not be tried (%s); the campaign tries it before it moves the table", exc)
+        except InterlockError as exc:
+            raise WrongState(f"{exc}; or set [interlocks] accept_no_enable = true") from exc
+
+    async def before(self, step: Step) -> None:
+        """What comes before a step that moves the table.
+
+        Raises
+        ------
+        InterlockError
+            The line is not proven, and the rig file does not accept that.
+        """
+        if not _moves(step) or self.state in (None, "proven"):
+            return
+        if self.state == "impossible":
+            if not self.is_accepted:
+                raise InterlockError(NO_LINE)
+            return
+        if self.is_accepted and self.state == "failed":
+            return  # it was reported
+        try:
+            await self._prove(step)
+        except LineUnproven as exc:
+            if not self.is_accepted:
+                raise
+            await self._reporter.fault(exc, campaign=None, step=step, action="go on, as accept_no_enable says")
+
+    async def _prove(self, step: Step) -> None:
+        assert step.frequency_hz is not None
+        assert step.amplitude_mm is not None
+        async with self._turn:
+            if self.state == "proven":
+                return
+            lab = self._lab
+            await prove_line(lab.rig, lab.table, lab.clock, step.frequency_hz, step.amplitude_mm)
+            log.info("the enable line was seen to stop the table")
+
+
+def _moves(step: Step) -> bool:
+    return step.frequency_hz is not None and bool(step.amplitude_mm)
