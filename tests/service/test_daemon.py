@@ -79,8 +79,8 @@ def test_a_second_daemon_is_refused_and_disturbs_nothing(run, rig, tmp_path: Pat
         status, err = run(data=data).end(0)
         assert status == 2
         assert f"another labdaemon (process {first.process.pid}" in err
-    assert rig.table()["moving"]
-    assert first.ask("status")["state"] == "running"
+    status = first.ask("status")
+    assert (status["state"], status["faults"], rig.table()["moving"]) == ("running", 0, True), status
 
 
 @pytest.mark.parametrize("answer", [None, b"\xff\x00\xfe~\x81{" * 20])
