@@ -98,7 +98,9 @@ class Victim:
         self.config = rig.write_files(
             folder, events=f"tcp://127.0.0.1:{_free_port()}", commands=self.commands, data=str(self.data)
         )
-        text = self.config.read_text() if gauges else without_gauges(self.config.read_text())
+        text = self.config.read_text()
+        if not gauges:  # then nothing can see the enable line stop the table either
+            text = without_gauges(text).replace("[interlocks]\n", "[interlocks]\naccept_no_enable = true\n")
         self.config.write_text(text + "\n[processing]\nworkers = 1\n")
         self.process: subprocess.Popen[str]
 

@@ -1,7 +1,8 @@
 """The guardian's life: hear the daemon's heartbeat, and stop the table when it ceases.
 
 Lines of JSON on standard input: first ``{"daemon": pid, "recipe": …, "silence_s": …, "patience_s": …, "report": …,
-"rig": …}``, then heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``. On standard output each
+"rig": …}``, then heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``, or ``{"leaves": true}`` where
+the table was not seen to come to rest: the daemon ends by itself, and its exit status says so. On standard output each
 heartbeat is answered by ``{"heard": n, "longest_s": …}``, so that the daemon knows that it is guarded.
 """
 
@@ -23,6 +24,8 @@ from labdaemon.guardian.ward import Ward
 TICK_S = 0.1
 GONE_S = 0.2
 """A daemon whose end of the pipe is closed is ending; it is given so long to be gone."""
+LEAVE_S = 10.0
+"""A daemon that said it leaves sends no more heartbeats, and is given so long to end by itself."""
 UNSTOPPABLE = {signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 HAND_OVER = signal.SIGUSR1
 """A newer daemon that waits sends this: after some seconds without success the guardian leaves the table to it."""
@@ -71,6 +74,8 @@ class Watch:
         for message in map(read_message, lines):
             if message.get("bye") is True:
                 self._bye = True
+            if message.get("leaves") is True:
+                self.silence_s = LEAVE_S
             if isinstance(message.get("beat"), int):
                 # Long work at rest (imports, a listing) is no gap that matters.
                 self._silence.heard(at, counts=self._moving and message.get("moving") is True)

@@ -177,8 +177,8 @@ async def _run(
             notify("STOPPING=1")
             try:
                 await table.stop()  # what it raises is how the process ends, whatever came before
-                atexit.unregister(last_resort)
             finally:
+                atexit.unregister(last_resort)  # all that it does was tried; a guardian goes on trying
                 await rig.close()
 
 
@@ -204,6 +204,14 @@ async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -
         try:
             # Loading what measures takes longer than bringing the table to rest, so it comes after; in a thread, so
             # that the heartbeat goes out meanwhile.
+            serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
+            identities = await connect_stoppers(hold.rig)
+            held = Held(
+                hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.keeper, hold.keeping,
+                journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
+            )  # fmt: skip
+            status: int = await serving.serve(held, end)
+            return status
             serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
             identities = await connect_stoppers(hold.rig)
             held = Held(

@@ -52,7 +52,9 @@ async def guarded_table(
     finally:
         heartbeat.cancel()
         await asyncio.gather(heartbeat, return_exceptions=True)
-        if not table.may_move:
+        if table.may_move:
+            guardian.leave()
+        else:
             await guardian.release()
 
 

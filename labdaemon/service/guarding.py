@@ -122,6 +122,14 @@ class Guardian:
         self._process = None
         await asyncio.to_thread(process.wait)
 
+    def leave(self) -> None:
+        """The daemon ends with a table that was not seen to rest: the guardian goes on when this process is gone.
+
+        Its pipe stays open until then: closed any earlier, it would end us before our exit status says what is wrong.
+        """
+        if self._process is not None:
+            self._process.send({"leaves": True})
+
     def _beat(self) -> str | None:
         """One heartbeat; why the guardian is lost, None while it is there."""
         if self._process is None:
