@@ -1,9 +1,9 @@
 """The guardian's life: hear the daemon's heartbeat, and stop the table when it ceases.
 
 Lines of JSON on standard input: first ``{"daemon": pid, "recipe": …, "silence_s": …, "patience_s": …, "report": …,
-"rig": …}``, then heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``, or ``{"leaves": true}`` where
-the table was not seen to come to rest: the daemon ends by itself, and its exit status says so. On standard output each
-heartbeat is answered by ``{"heard": n, "longest_s": …}``, so that the daemon knows that it is guarded.
+"rig": …}``, then heartbeats ``{"beat": n, "moving": bool}``, at the end ``{"bye": true}``, or ``{"leaves": true}``
+where the table was not seen to come to rest: the daemon ends by itself, and its exit status says so. On standard output
+each heartbeat is answered by ``{"heard": n, "longest_s": …}``, so that the daemon knows that it is guarded.
 """
 
 from __future__ import annotations
