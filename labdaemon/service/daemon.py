@@ -212,14 +212,6 @@ async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -
             )  # fmt: skip
             status: int = await serving.serve(held, end)
             return status
-            serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
-            identities = await connect_stoppers(hold.rig)
-            held = Held(
-                hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.keeper, hold.keeping,
-                journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
-            )  # fmt: skip
-            status: int = await serving.serve(held, end)
-            return status
         finally:
             journal.close()
     finally:
