@@ -9,9 +9,11 @@ each heartbeat is answered by ``{"heard": n, "longest_s": …}``, so that the da
 from __future__ import annotations
 
 import json
+import math
 import os
 import select
 import signal
+import time
 from contextlib import suppress
 from typing import Any
 
@@ -29,6 +31,8 @@ LEAVE_S = 10.0
 UNSTOPPABLE = {signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 HAND_OVER = signal.SIGUSR1
 """A newer daemon that waits sends this: after some seconds without success the guardian leaves the table to it."""
+WANTED_S = 60.0
+"""A daemon waits for less than this; an older signal was meant for another rescue."""
 
 
 class Watch:
@@ -48,11 +52,11 @@ class Watch:
         self.reporter = Reporter(setup["rig"], setup["report"])
         self._ward, self._moving, self._bye, self._rest = ward, True, False, b""
         self._silence = Silence(now())
-        self._wanted = False
+        self._wanted_at = -math.inf
 
     def hand_over(self, *_: object) -> None:
         """Signal handler: a newer daemon waits."""
-        self._wanted = True
+        self._wanted_at = time.monotonic()
 
     def run(self, source: int, answers: int) -> int:
         """Watch until the daemon says goodbye or is gone; the exit status.
@@ -84,6 +88,9 @@ class Watch:
                 self._moving = message["moving"]
         return beats
 
+    def _is_wanted(self) -> bool:
+        return time.monotonic() < self._wanted_at + WANTED_S
+
     def _until_needed(self, source: int, answers: int) -> str | None:
         """Hear heartbeats; why they ceased, None after a goodbye."""
         poll = select.poll()
@@ -103,14 +110,14 @@ class Watch:
                 _answer(answers, beats, self._silence.longest_s)
             elif ready:
                 return "ended without bringing the table to rest"
-            elif self._silence.tick(now()) > self.silence_s and self._moving and not poll.poll(0):
+            if self._silence.tick(now()) > self.silence_s and self._moving and not poll.poll(0):
                 return f"has been silent for {self._silence.silent_s:.1f} s with the table moving"
 
     def _rescue(self, reason: str) -> int:
         was_killed = self._ward.end(GONE_S if reason.startswith("ended") else 0.0)
         why = f"the daemon (process {self._ward.pid}) {reason}{' and was killed' if was_killed else ''}"
         self.reporter.say(f"{why}; stopping {self.recipe.device}")
-        outcome = rescue(self.recipe, self.reporter, patience_s=self.patience_s, is_wanted=lambda: self._wanted)
+        outcome = rescue(self.recipe, self.reporter, patience_s=self.patience_s, is_wanted=self._is_wanted)
         self.reporter.conclude(f"{why}; {_in_words(outcome)}", {"why": why, **outcome._asdict()})
         return 0 if outcome.is_at_rest else 1
 
