@@ -9,8 +9,9 @@ from datetime import datetime, timedelta
 
 from labdaemon.campaign.steps import Shot, Step
 from labdaemon.capture.capture import Describe, Fired, Lab, keep, take
-from labdaemon.capture.collect import store, wait_all, wait_frame
+from labdaemon.capture.collect import store, wait_frame
 from labdaemon.capture.devices import CardFile, Firing
+from labdaemon.capture.own_frames import wait_released
 from labdaemon.capture.pairing import Arrivals
 from labdaemon.capture.places import set_aside_path, sharp_folder, with_opening
 from labdaemon.capture.settle import Excitation
@@ -160,12 +161,16 @@ class Walker:
         clock, rig = self.lab.clock, self.lab.rig
         arrivals = self.arrivals = self.arrivals or Arrivals(tuple(rig.cameras), self.window_s)
         turn = self.turn or asyncio.Lock()
+        # Releases that came while nothing listened: recovery has dealt with their files.
+        while rig.trigger is not None and await rig.trigger.call(lambda driver: driver.wait(0.0), 10.0) is not None:
+            continue
         while end_s is None or clock.monotonic() < end_s:
             if rig.trigger is not None:
                 firing = await rig.trigger.call(lambda driver: driver.wait(WAIT_SLICE_S), WAIT_SLICE_S + 10.0)
                 if firing is not None:
                     async with turn:
-                        yield firing, await wait_all(rig, self.lab.recorder, clock, self.lab.camera_timeout_s)
+                        longest_s = max(self.lab.exposures_s.values(), default=0.0)
+                        yield firing, await wait_released(self.lab.frames, firing.opened_at, longest_s)
                 continue
             found = await asyncio.gather(
                 *(wait_frame(camera, self.lab.recorder, clock, WAIT_SLICE_S) for camera in rig.cameras.values())

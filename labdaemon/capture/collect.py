@@ -6,17 +6,16 @@ journal, and the camera, asked once more, still has the same file of the same si
 
 from __future__ import annotations
 
-import asyncio
 from functools import partial
 from pathlib import Path
 
 from labdaemon.capture.devices import Camera, CardFile
 from labdaemon.capture.inspect_file import check_fetched, describe, inspect
 from labdaemon.capture.recorder import Recorder
-from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.capture.rig import CALL_S, Wired
 from labdaemon.clock import Clock
 from labdaemon.durable import PART, storage_error
-from labdaemon.errors import DataError, DeviceError, DeviceRefused, StorageUnavailable, TransportError
+from labdaemon.errors import DataError, DeviceError, DeviceRefused, StorageUnavailable
 from labdaemon.imaging.raw_content import Kind
 from labdaemon.journal import card_records, transitions
 from labdaemon.journal.card_records import CardIdentity
@@ -72,25 +71,6 @@ async def wait_frame(
                 return now
         if file is None and clock.monotonic() >= end_s:
             return None
-
-
-async def wait_all(rig: Rig, recorder: Recorder, clock: Clock, timeout_s: float) -> dict[str, CardFile]:
-    """One new file from every camera, in the order of their arrival.
-
-    Raises
-    ------
-    TransportError
-        A camera delivered none in time: it is lost, out of power, or was not released.
-    """
-    files = await asyncio.gather(*(wait_frame(camera, recorder, clock, timeout_s) for camera in rig.cameras.values()))
-    arrived: dict[str, CardFile] = {}
-    for name, file in zip(rig.cameras, files, strict=True):
-        if file is None:
-            raise TransportError(
-                f"no frame within {timeout_s:g} s of the release; check cable, power and shutter lead", device=name
-            )
-        arrived[name] = file
-    return arrived
 
 
 def _wait_file(driver: Camera, timeout_s: float) -> CardFile | None:

@@ -173,13 +173,17 @@ async def set_aside(context: FrameContext, camera: str, file: CardFile) -> None:
     )
 
 
-async def wait_own(context: FrameContext, opening: Opening, seen: Mapping[str, frozenset[int]]) -> dict[str, CardFile]:
+async def wait_own(
+    context: FrameContext, opening: Opening, seen: Mapping[str, frozenset[int]], *, is_outside: bool = False
+) -> dict[str, CardFile]:
     """Each camera's own file of this opening.
 
     Parameters
     ----------
     seen
         Handles that were on the cards before the release.
+    is_outside
+        Others release the shutters.
 
     Raises
     ------
@@ -189,11 +193,37 @@ async def wait_own(context: FrameContext, opening: Opening, seen: Mapping[str, f
         What it delivered is of another opening, or may be.
     """
     cameras = context.rig.cameras
-    files = await all_or_none(_wait_own(context, name, opening, seen.get(name, frozenset())) for name in cameras)
+    files = await all_or_none(
+        _wait_own(context, name, opening, seen.get(name, frozenset()), is_outside) for name in cameras
+    )
     return dict(zip(cameras, files, strict=True))
 
 
-async def _wait_own(context: FrameContext, camera: str, opening: Opening, seen: frozenset[int]) -> CardFile:
+async def wait_released(context: FrameContext, opened_at: datetime, exposure_s: float) -> dict[str, CardFile]:
+    """Each camera's own file of a release that an outside system caused; the cameras' clocks are learned from them.
+
+    Parameters
+    ----------
+    opened_at
+        Wall-clock time of the opening, as the trigger device saw it.
+    exposure_s
+        The longest that a body is set to; 0 where that is unknown.
+
+    Raises
+    ------
+    TransportError, DeviceError
+        As `wait_own`: a body that missed the release must not lend it the next one's file.
+    """
+    passed_s = (context.clock.now() - opened_at).total_seconds()
+    opening = Opening("", "", context.clock.monotonic() - passed_s, exposure_s)
+    files = await wait_own(context, opening, {}, is_outside=True)
+    context.clocks.follow(files, opening)
+    return files
+
+
+async def _wait_own(
+    context: FrameContext, camera: str, opening: Opening, seen: frozenset[int], is_outside: bool
+) -> CardFile:
     clock, clocks = context.clock, context.clocks
     owed = [
         other
@@ -211,7 +241,9 @@ async def _wait_own(context: FrameContext, camera: str, opening: Opening, seen: 
         if file is None:
             break
         now_s = clock.monotonic()
-        verdict = Verdict.EARLIER if file.handle in seen else clocks.judge(camera, file, opening, owed)
+        verdict = Verdict.EARLIER
+        if file.handle not in seen:
+            verdict = clocks.judge(camera, file, opening, owed, is_outside=is_outside)
         if verdict is Verdict.OWN:
             return file
         if verdict is Verdict.EARLIER:

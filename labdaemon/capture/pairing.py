@@ -119,6 +119,8 @@ class _CameraClock:
         Openings in a row that its time did not fit.
     rival_s
         The offset at the last of them.
+    stamp_s
+        The latest time that was seen: a clock that stands still says it again.
     """
 
     offset_s: float
@@ -127,6 +129,7 @@ class _CameraClock:
     is_doubted: bool = False
     misfits: int = 0
     rival_s: float | None = None
+    stamp_s: float | None = None
 
     @property
     def is_useless(self) -> bool:
@@ -168,13 +171,17 @@ class CameraClocks:
             return next(iter(openings), None)
         return next((opening for opening in openings if clock.fits(stamp_s, opening)), None)
 
-    def judge(self, camera: str, file: CardFile, opening: Opening, owed: Sequence[Opening] = ()) -> Verdict:
+    def judge(
+        self, camera: str, file: CardFile, opening: Opening, owed: Sequence[Opening] = (), *, is_outside: bool = False
+    ) -> Verdict:
         """Whose a file is that arrived after this opening.
 
         Parameters
         ----------
         owed
             Earlier openings whose files have not come.
+        is_outside
+            Others release the shutters, and may have done so again: a time that does not fit may be of the next one.
         """
         by_order = Verdict.UNCLEAR if owed else Verdict.OWN
         clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
@@ -187,10 +194,12 @@ class CameraClocks:
             return Verdict.EARLIER
         apparent_s = stamp_s - opening.opened_s
         rival_s = clock.rival_s
-        if clock.is_doubted or (rival_s is not None and abs(apparent_s - rival_s) <= TOLERANCE_S):
+        is_set_anew = rival_s is not None and abs(apparent_s - rival_s) <= TOLERANCE_S
+        if is_set_anew or (clock.is_doubted and not is_outside):
             return by_order  # its clock was set: nothing else explains it
-        clock.misfits += 1
-        clock.rival_s = apparent_s
+        if not is_outside or stamp_s == clock.stamp_s:
+            clock.misfits += 1
+        clock.rival_s, clock.stamp_s = apparent_s, stamp_s
         return Verdict.FOREIGN
 
     def off_s(self, camera: str, file: CardFile, opening: Opening) -> float:
@@ -206,7 +215,9 @@ class CameraClocks:
                 continue  # a body without a clock is paired by order alone
             apparent_s = stamp_s - opening.opened_s
             before = self._clocks.get(camera)
-            clock = self._clocks[camera] = _CameraClock(apparent_s, opening.exposure_s, opening.opened_s)
+            clock = self._clocks[camera] = _CameraClock(
+                apparent_s, opening.exposure_s, opening.opened_s, stamp_s=stamp_s
+            )
             if before is not None and not before.fits(stamp_s, opening):
                 is_set_anew = before.rival_s is not None and abs(apparent_s - before.rival_s) <= TOLERANCE_S
                 clock.misfits = 0 if is_set_anew else before.misfits + 1

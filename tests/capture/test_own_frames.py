@@ -146,3 +146,34 @@ def test_the_clocks_are_in_the_journal(simulate):
         assert lab.engine.lab.clocks.offset_s("left") == pytest.approx(known_s, abs=1e-3)
 
     simulate(scenario)
+
+
+@pytest.mark.parametrize("gap_s", [8.0, 20.0, 60.0])
+def test_a_body_that_missed_an_outside_release_is_not_lent_the_next_one_s_file(simulate, gap_s: float):
+    toml = """
+name = "outside"
+[[phase]]
+kind = "external"
+exposure_s = 1.0
+frequency_hz = 7.0
+captures = 4
+wait_s = 600
+on_fault = "retry"
+"""
+
+    async def scenario(lab: FakeLab) -> None:
+        id = await lab.submit(toml)
+        while lab.engine.step is None:
+            assert lab.clock.monotonic() < 600.0, "the engine has ended"
+            await lab.clock.sleep(1.0)
+        for turn in range(8):
+            await lab.clock.sleep(gap_s)
+            if turn == 2:
+                lab.world.fail("right.release", "lost_file")
+            lab.fake.trigger.edge(1.0)
+        await lab.until(id)
+        kept = records.captures(lab.journal, id, "stored", "measured", "unmeasured")
+        assert len(kept) >= 2
+        check_frames(lab)
+
+    simulate(scenario)
