@@ -77,6 +77,9 @@ def rig_toml(
         _section("[control]", family="apriltag-36h11", size_mm=spec.tags[0].size_mm, file=control_file),
         _section("[interlocks]", max_response_mm=60.0, max_response_rate_mm_s=50.0),
     ]
+    if not ports["shaker"].startswith("sim:"):
+        # A rig of another process is gone for good once that has ended, and another device may get its port number.
+        sections.append(_section("[guardian]", patience_s=60.0))
     return "\n".join(sections)
 
 
