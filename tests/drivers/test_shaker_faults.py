@@ -28,9 +28,14 @@ ON_SET = {
     "ignores_frequency": (DeviceRefused, "reports 1000 Hz"),
     "queue_full": (ProtocolError, "never empties.*overflow"),
     "refuses": (DeviceRefused, "Settings conflict"),
+    "deaf": (DeviceRefused, "reports 1000 Hz"),
     "wrong_value": (DeviceRefused, "told 5 Hz, 1 mm, reports 5 Hz, 1.5 mm"),
 }
-ON_STOP = {"stuck_output": (DeviceRefused, "stays on"), "reboots": (None, "")}
+ON_STOP = {
+    "stuck_output": (DeviceRefused, "stays on"),
+    "reboots": (None, ""),
+    "absent": (TransportError, "lost"),
+}
 
 
 def test_the_tables_cover_every_fault():

@@ -28,6 +28,8 @@ ON_FIRE = {
     "no_sync": (None, ""),
     "busy": (DeviceRefused, "BUSY"),
     "enable_drops": (None, ""),
+    "enable_stuck": (None, ""),
+    "absent": (None, ""),
 }
 
 

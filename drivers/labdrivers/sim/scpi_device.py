@@ -30,6 +30,8 @@ FAULTS = {
     "queue_full": "its error queue is full of old errors",
     "refuses": "answers every setting with an error in its queue",
     "reboots": "loses power for a moment: power-on state, output off",
+    "deaf": "answers questions and takes no setting at all, and does not say so",
+    "absent": "its port is gone: whoever opens it is cut off at once",
     "wrong_value": "reports a level `value` times the true one (default 1.5)",
 }
 QUEUE_LENGTH = 20
@@ -169,6 +171,8 @@ class ScpiDevice(WireDevice):
         return self._errors.popleft() if self._errors else '+0,"No error"'
 
     def _refused(self) -> bool:
+        if self.faults.strike("deaf"):
+            return True
         if self.faults.strike("refuses"):
             self._error(-221, "Settings conflict")
             return True

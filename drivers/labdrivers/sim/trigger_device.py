@@ -33,6 +33,8 @@ FAULTS = {
     "no_contact": "sees no flash-sync contact",
     "no_sync": "sees no edge of the excitation's sync",
     "busy": "refuses every shot as busy",
+    "enable_stuck": "its enable line stays up although it says that it dropped",
+    "absent": "its port is gone: whoever opens it is cut off at once",
     "enable_drops": "its enable line falls although heartbeats come",
 }
 REMEMBERED = 8
@@ -220,7 +222,8 @@ class TriggerDevice(WireDevice):
     def _drop(self) -> None:
         if self._enable_until is not None:
             self._enable_until = None
-            self._excitation.enable(False)
+            if not self.faults.is_on("enable_stuck"):
+                self._excitation.enable(False)
 
     def _fire(self, delay_s: float | None) -> str:
         now = self._clock()

@@ -38,6 +38,9 @@ class WireDevice:
             old, self._send, self._hang_up = self._hang_up, send, hang_up
         if old is not None:
             old()
+        if "absent" in self.faults.table and self.faults.strike("absent"):
+            self.hang_up()
+            return
         self.attached()
 
     def detach(self, send: Send) -> None:
