@@ -149,7 +149,7 @@ class Attempts:
         rest = await self._lab.table.stop()
         if rest.troubles:
             exc = DeviceError(f"brought to rest by {rest.by} stop only: {'; '.join(rest.troubles)}")
-            await self._reporter.fault(exc, campaign=None, step=None, action="look at the shaker")
+            await self._reporter.fault_soon(exc, action="look at the shaker")
         return rest
 
     async def _walk(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:

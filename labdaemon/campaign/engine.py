@@ -21,7 +21,7 @@ from labdaemon.campaign.manual import ManualCaptures
 from labdaemon.campaign.manual_measuring import ManualMeasuring
 from labdaemon.campaign.manual_request import CaptureRequest
 from labdaemon.campaign.measuring import Measuring, Rows
-from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.reporter import RECORD_S, Reporter
 from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.capture import Lab
 from labdaemon.capture.rest import Rest
@@ -37,9 +37,6 @@ log = logging.getLogger(__name__)
 CHANGED_RIG = (
     "the rig file has changed since this campaign was planned; put it back, or resume with --accept-changed-rig"
 )
-
-RECORD_S = 2.0
-"""How long the answer to `stop` waits for its record in the journal."""
 
 
 class Engine:
@@ -250,7 +247,9 @@ class Engine:
             Nothing confirmed.
         """
         reason = "stopped by a person"
-        record = self.current or self._next()  # one that is about to be taken up counts
+        record = self.current
+        with suppress(StorageError):  # nothing may keep the table from being stopped
+            record = record or self._next()  # one that is about to be taken up counts
         is_running = record is not None and self.control.wish == "go"
         self.control.want("pause" if is_running else self.control.wish, reason, at_once=True)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -20,6 +21,8 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 DISK_POLL_S = 2.0
+RECORD_S = 2.0
+"""How long the answer to a stop waits for its record in the journal."""
 
 
 class Reporter:
@@ -45,6 +48,7 @@ class Reporter:
         self.faults = 0
         self.last_fault: str | None = None
         self.disk_trouble: str | None = None
+        self._recording: set[asyncio.Task[None]] = set()
         self.unrecorded: Callable[[str | None, dict[str, Any]], None] = lambda campaign, payload: None
         """Called with campaign and payload of a fault that the journal does not take now."""
 
@@ -64,6 +68,13 @@ class Reporter:
             await self._recorder.write(transitions.fault, campaign, payload)
         except StorageUnavailable:  # the disk does not take the report either; the log has it
             self.unrecorded(campaign, payload)
+
+    async def fault_soon(self, exc: BaseException, *, action: str) -> None:
+        """Report a fault, and wait for the record no longer than a stop may wait for a disk."""
+        recording = asyncio.create_task(self.fault(exc, campaign=None, step=None, action=action))
+        self._recording.add(recording)
+        recording.add_done_callback(self._recording.discard)
+        await asyncio.wait({recording}, timeout=RECORD_S)
 
     async def move(self, campaign: str, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
         """Put a campaign into another state; False if it was in none that leads there."""
