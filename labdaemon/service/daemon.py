@@ -13,6 +13,7 @@ import logging
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ from labdaemon.clock import Clock, SystemClock
 from labdaemon.errors import RestUnconfirmed
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.storage import DataLock
+from labdaemon.off_loop import off_loop
 from labdaemon.service.config import RigConfig
 from labdaemon.service.desk import Desk
 from labdaemon.service.devices import build_rig, connect_stoppers
@@ -194,13 +196,15 @@ async def _come_to_rest(table: Table) -> None:
 
 async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -> int:
     """Take data folder, commands socket and journal, and serve until the end."""
-    data_lock, desk = DataLock(hold.data), Desk()
+    # A slow disk, or a journal of gigabytes that is checked, must not hold up heartbeat and guardian.
+    data_lock, desk = await off_loop(DataLock, hold.data), Desk()
     commands = CommandServer(hold.config.service.commands, desk.handlers(), desk)
     try:
         commands.bind()
         if lock is not None:
             lock.note(commands=commands.address)
-        journal = Journal(hold.data, hold.clock, replace_damaged=hold.options.new_journal, lock=data_lock)
+        open_journal = partial(Journal, replace_damaged=hold.options.new_journal, lock=data_lock)
+        journal = await off_loop(open_journal, hold.data, hold.clock)
         try:
             # Loading what measures takes longer than bringing the table to rest, so it comes after; in a thread, so
             # that the heartbeat goes out meanwhile.
