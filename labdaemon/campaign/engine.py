@@ -16,7 +16,7 @@ from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.guard import Guard
 from labdaemon.campaign.interlocks import Limits, envelope_reason
 from labdaemon.campaign.listening import OutsideListener
-from labdaemon.campaign.lookup import named_campaign
+from labdaemon.campaign.lookup import has_ended, named_campaign, outline, state_of
 from labdaemon.campaign.manual import ManualCaptures
 from labdaemon.campaign.manual_measuring import ManualMeasuring
 from labdaemon.campaign.manual_request import CaptureRequest
@@ -80,7 +80,7 @@ class Engine:
     ) -> None:
         self.lab, self.measuring, self.limits = lab, measuring, limits
         self.policy = policy = policy or Policy()
-        self._planner = planner
+        self._planner, self._journal = planner, lab.recorder.journal
         self.control = Control()
         self.disk = DataDisk(lab.recorder, free_bytes, limits.min_disk_bytes)
         self.reporter = Reporter(lab.recorder, lab.clock, self.disk)
@@ -110,7 +110,7 @@ class Engine:
         """Walk campaigns until cancelled. The table must be at rest."""
         guard = asyncio.create_task(self.guard.run())
         try:
-            await self.measuring.mend()
+            self._start(self.measuring.mend())
             while True:
                 try:
                     await self._do_next(guard)
@@ -140,17 +140,16 @@ class Engine:
         self._start(self._stop_table())
         self.control.trip(error)
 
-    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.create_task(work)
         self._stops.add(task)
         task.add_done_callback(self._stops.discard)
+        return task
 
     def report(self, error: LabdaemonError, action: str) -> None:
         """A fault outside any step, as of a wire that was lost: it is written as soon as it can be."""
         log.error("%s", error)
-        task = asyncio.create_task(self._fault(error, action))
-        self._stops.add(task)
-        task.add_done_callback(self._stops.discard)
+        self._start(self._fault(error, action))
 
     async def submit(self, plan: Plan, request_id: str | None = None) -> str:
         """Queue a checked campaign; its id, once it is in the journal.
@@ -174,7 +173,7 @@ class Engine:
         NotFound, WrongState
             There is no such campaign, or it is not running.
         """
-        record = named_campaign(self.lab.recorder.journal, campaign, self.current, "running")
+        record = named_campaign(self._journal, campaign, self.current, "running")
         self.control.want("pause", reason)
         if not await self._move(record, "paused", reason):
             raise WrongState(f"campaign {record.id} has just ended")
@@ -188,13 +187,13 @@ class Engine:
         NotFound, WrongState
             There is no such campaign, it is not paused, or it was planned for another rig.
         """
-        record = named_campaign(self.lab.recorder.journal, campaign, self.current, "paused")
+        record = named_campaign(self._journal, campaign, self.current, "paused")
         plan = await self.lab.recorder.aside(self._planner, record.toml)
         if plan.digest != record.digest:
             if not accept_changed_rig:
                 raise WrongState(f"{record.id}: {CHANGED_RIG}")
             await self.files.accept(record, plan.digest)
-        if not await self._move(record, "running", **_outline(plan)):
+        if not await self._move(record, "running", **outline(plan)):
             raise WrongState(f"campaign {record.id} has just ended")
         self.control.clear()
         return record.id
@@ -207,7 +206,7 @@ class Engine:
         NotFound, WrongState
             There is no such campaign, or it has ended.
         """
-        record = named_campaign(self.lab.recorder.journal, campaign, self.current, "running", "paused", "queued")
+        record = named_campaign(self._journal, campaign, self.current, "running", "paused", "queued")
         if self.current is None or record.id != self.current.id:
             await self._move(record, "aborted", reason)
         else:
@@ -224,7 +223,7 @@ class Engine:
         DeviceError
             Trigger or cameras refused.
         """
-        if self.current is not None and self._state(self.current.id) != "paused":
+        if self.current is not None and state_of(self._journal, self.current.id) != "paused":
             raise Busy(f"campaign {self.current.id} is running; pause it first")
         campaign = self.current.id if self.current is not None else None
         if self.attempts.needs_recovery:
@@ -257,17 +256,14 @@ class Engine:
         finally:
             if record is not None and is_running:
                 # What was seen of the table is answered also while the disk takes no record of it.
-                pausing = asyncio.create_task(self._pause_stopped(record, reason))
-                self._stops.add(pausing)
-                pausing.add_done_callback(self._stops.discard)
-                await asyncio.wait({pausing}, timeout=RECORD_S)
+                await asyncio.wait({self._start(self._pause_stopped(record, reason))}, timeout=RECORD_S)
 
     async def _pause_stopped(self, record: CampaignRecord, reason: str) -> None:
         await self._move(record, "paused", reason)
         self.control.want("pause", reason, at_once=True)
 
     def _next(self) -> CampaignRecord | None:
-        journal = self.lab.recorder.journal
+        journal = self._journal
         waiting = records.campaigns(journal, "running", "paused", limit=1)
         waiting = waiting or records.campaigns(journal, "queued", limit=1)
         return waiting[0] if waiting else None
@@ -295,8 +291,8 @@ class Engine:
                     await self._move(record, "paused", CHANGED_RIG)
                     self.control.clear("pause")
             await self.files.open(record, plan)
-            if self._state(record.id) == "queued":
-                await self._move(record, "running", **_outline(plan))
+            if state_of(self._journal, record.id) == "queued":
+                await self._move(record, "running", **outline(plan))
             await self._walk(record, plan, guard)
             self.control.clear()
         except (JournalError, StorageUnavailable):
@@ -308,7 +304,7 @@ class Engine:
             self.current = self.plan = self.step = None
 
     async def _walk(self, record: CampaignRecord, plan: Plan, guard: asyncio.Task[None]) -> None:
-        known = records.steps(self.lab.recorder.journal, record.id)
+        known = records.steps(self._journal, record.id)
         ended = {index for index, kept in known.items() if kept.state != "running"}
         while True:
             step = next((step for step in plan.steps if step.index not in ended), None)
@@ -327,14 +323,14 @@ class Engine:
                 case "go" if step is not None:
                     self.step = step
                     await self.attempts.do(record.id, step, guard)
-                    if self._has_ended(record.id, step):
+                    if has_ended(self._journal, record.id, step.index):
                         ended.add(step.index)
                         if step.kind == "pause" and not step.hold_s:
                             self.control.want("pause", f"{step.label} waits for a person")
 
     async def _pause(self, record: CampaignRecord, guard: asyncio.Task[None]) -> None:
         await self._rest()
-        if self.control.wish == "pause" and self._state(record.id) == "running":  # not resumed meanwhile
+        if self.control.wish == "pause" and state_of(self._journal, record.id) == "running":  # not resumed meanwhile
             await self._move(record, "paused", self.control.reason)
         self.attempts.doing, self.attempts.began_s = "paused", None
         while self.control.wish == "pause":
@@ -361,12 +357,8 @@ class Engine:
             self.control.want("pause" if self.control.wish == "go" else self.control.wish, str(refused))
         if self.control.wish != "go":
             return False
-        taken = sum(records.captures_by_step(self.lab.recorder.journal, record.id).values())
+        taken = sum(records.captures_by_step(self._journal, record.id).values())
         return await self._move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
-
-    def _has_ended(self, campaign: str, step: Step) -> bool:
-        kept = records.step(self.lab.recorder.journal, campaign, step.index)
-        return kept is not None and kept.state != "running"
 
     async def _rest(self) -> None:
         """Table to rest; if nothing confirms, that is told, and nothing moves until a person has resumed."""
@@ -404,12 +396,3 @@ class Engine:
         if moved and self.current is not None and self.current.id == record.id:
             self.current = replace(self.current, state=state, reason=reason)
         return moved
-
-    def _state(self, campaign: str) -> CampaignState | None:
-        record = records.campaign(self.lab.recorder.journal, campaign)
-        return record.state if record is not None else None
-
-
-def _outline(plan: Plan) -> dict[str, Any]:
-    """What the start of a campaign tells of it."""
-    return {"name": plan.name, "steps": len(plan.steps), "predicted_s": round(plan.predicted_s, 1)}

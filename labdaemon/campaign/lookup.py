@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from labdaemon.campaign.steps import Plan
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
@@ -28,3 +31,20 @@ def named_campaign(
     if record.state not in states:
         raise WrongState(f"campaign {id} is {record.state}, not {' or '.join(states)}")
     return record
+
+
+def state_of(journal: Journal, campaign: str) -> CampaignState | None:
+    """The campaign's state by the journal, None if there is none of this id."""
+    record = records.campaign(journal, campaign)
+    return record.state if record is not None else None
+
+
+def has_ended(journal: Journal, campaign: str, step: int) -> bool:
+    """Whether a step was completed or skipped."""
+    kept = records.step(journal, campaign, step)
+    return kept is not None and kept.state != "running"
+
+
+def outline(plan: Plan) -> dict[str, Any]:
+    """What the start of a campaign reports of it."""
+    return {"name": plan.name, "steps": len(plan.steps), "predicted_s": round(plan.predicted_s, 1)}

@@ -63,6 +63,8 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         lines.append(f"time left  {duration(status['left_s'])}")
     if largest := _largest(status):
         lines.append(f"largest    {largest}")
+    for name, why in (status.get("waiting_for") or {}).items():
+        lines.append(f"waits for  {name}: {why}")
     if status.get("faults"):
         lines.append(f"faults     {status['faults']}")
     if status.get("queue"):

@@ -13,7 +13,6 @@ import logging
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,8 +23,6 @@ from labdaemon.capture.table import Table
 from labdaemon.clock import Clock, SystemClock
 from labdaemon.errors import RestUnconfirmed
 from labdaemon.journal.journal import Journal
-from labdaemon.journal.storage import DataLock
-from labdaemon.off_loop import off_loop
 from labdaemon.service.config import RigConfig
 from labdaemon.service.desk import Desk
 from labdaemon.service.devices import build_rig, connect_stoppers
@@ -33,8 +30,10 @@ from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
 from labdaemon.service.guarding import Guardian
 from labdaemon.service.shaker_lock import ShakerLock
 from labdaemon.service.signals import ending_signals, exit_status, forbid_core_dumps, ignore_suspension, name_of
+from labdaemon.service.start import AskedToEnd, Start
+from labdaemon.service.status import place_of
 from labdaemon.service.supervise import supervise
-from labdaemon.service.watchdog import notify
+from labdaemon.service.watchdog import feed, log_stalled, notify
 from labdaemon.stream.commands import CommandServer
 
 if TYPE_CHECKING:
@@ -196,31 +195,42 @@ async def _come_to_rest(table: Table) -> None:
 
 async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -> int:
     """Take data folder, commands socket and journal, and serve until the end."""
-    # A slow disk, or a journal of gigabytes that is checked, must not hold up heartbeat and guardian.
-    data_lock, desk = await off_loop(DataLock, hold.data), Desk()
+    start = Start(hold.clock, hold.table, place_of(hold.config.source, hold.data), end)
+    desk = Desk()
+    desk.offer(start.handlers(), start.refusal)
     commands = CommandServer(hold.config.service.commands, desk.handlers(), desk)
     try:
         commands.bind()
         if lock is not None:
             lock.note(commands=commands.address)
-        open_journal = partial(Journal, replace_damaged=hold.options.new_journal, lock=data_lock)
-        journal = await off_loop(open_journal, hold.data, hold.clock)
-        try:
-            # Loading what measures takes longer than bringing the table to rest, so it comes after; in a thread, so
-            # that the heartbeat goes out meanwhile.
-            serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
-            identities = await connect_stoppers(hold.rig)
-            held = Held(
-                hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.keeper, hold.keeping,
-                journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
-            )  # fmt: skip
-            status: int = await serving.serve(held, end)
-            return status
-        finally:
-            journal.close()
+        start.parts.append(asyncio.create_task(supervise("commands", commands.run, hold.clock)))
+        start.parts.append(asyncio.create_task(feed(hold.clock, start.checks, log_stalled)))
+        notify(f"READY=1\nSTATUS=commands on {commands.address}")
+        return await _open_data(hold, start, desk, commands)
+    except AskedToEnd:
+        return end.result()
     finally:
+        for part in start.parts:
+            part.cancel()
         commands.close()
-        data_lock.release()
+
+
+async def _open_data(hold: Hold, start: Start, desk: Desk, commands: CommandServer) -> int:
+    """Wait for the journal, and serve until the end."""
+    journal = await start.open_journal(hold.data, hold.options.new_journal)
+    try:
+        # Loading what measures takes longer than bringing the table to rest, so it comes after, and off the loop: on a
+        # busy machine it takes seconds, and a table that is not confirmed needs its heartbeat meanwhile.
+        serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
+        identities = await connect_stoppers(hold.rig)
+        held = Held(
+            hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.keeper, hold.keeping,
+            journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
+        )  # fmt: skip
+        status: int = await serving.serve(held, start)
+        return status
+    finally:
+        journal.close()
 
 
 def _last_resort(rig: Rig) -> Callable[[], None]:

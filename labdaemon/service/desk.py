@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from labdaemon.errors import LabdaemonError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.stream.commands import Handler
+from labdaemon.stream.messages import WrongState
+
+PATIENCE_S = 20.0
+"""How long a command waits for the daemon to have started; a client that asked as it did is not refused."""
 
 METHODS = (
     "status",
@@ -36,11 +42,16 @@ class Desk:
         self._opened = asyncio.Event()
         self._handlers: dict[str, Handler] = {}
         self._early: dict[str, Handler] = {}
+        self._refusal: Callable[[], LabdaemonError] = lambda: WrongState("the daemon is starting")
         self._journal: Journal | None = None
 
-    def offer(self, handlers: dict[str, Handler]) -> None:
-        """Carry out these commands until `open` replaces them: ``stop`` and ``status`` while devices are waited for."""
+    def offer(self, handlers: dict[str, Handler], refusal: Callable[[], LabdaemonError] | None = None) -> None:
+        """Carry out these commands until `open` replaces them: ``stop`` and ``status`` while devices are waited for.
+
+        `refusal` gives the answer to commands that have waited `PATIENCE_S` for `open`.
+        """
         self._early = handlers
+        self._refusal = refusal or self._refusal
 
     def open(self, handlers: dict[str, Handler], journal: Journal) -> None:
         """Carry out what waits and what comes."""
@@ -62,5 +73,9 @@ class Desk:
     async def _do(self, method: str, params: dict[str, Any]) -> Any:
         if not self._opened.is_set() and method in self._early:
             return await self._early[method](params)
-        await self._opened.wait()
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await self._opened.wait()
+        except TimeoutError:
+            raise self._refusal() from None
         return await self._handlers[method](params)

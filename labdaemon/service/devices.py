@@ -9,7 +9,7 @@ from typing import Any
 
 from labdaemon.capture.capture import CameraChoice
 from labdaemon.capture.lines import DeviceLine
-from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.capture.rig import Rig, Wired
 from labdaemon.errors import DeviceError
 from labdaemon.service.config import RigConfig, find_driver
 
@@ -78,14 +78,6 @@ async def connect_others(rig: Rig) -> dict[str, str]:
     for name, info in zip(rig.cameras, seen, strict=True):
         found[name] = f"{info.manufacturer} {info.model} {info.serial}"
     return found
-
-
-async def exposure_steps(rig: Rig) -> dict[str, tuple[float, ...]]:
-    """Exposure times that each body offers, as it names them."""
-    return {
-        name: await camera.call(lambda driver: driver.exposure_steps_s(), CALL_S)
-        for name, camera in rig.cameras.items()
-    }
 
 
 def _build(kind: str, driver: str, name: str, settings: Mapping[str, Any]) -> Wired[Any]:

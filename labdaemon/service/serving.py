@@ -23,49 +23,54 @@ from labdaemon.capture.capture import Lab
 from labdaemon.capture.lines import DeviceLine
 from labdaemon.capture.recorder import Recorder
 from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable
+from labdaemon.off_loop import off_loop
 from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import Held
-from labdaemon.service.devices import camera_choices, connect_others, exposure_steps
+from labdaemon.service.devices import camera_choices
 from labdaemon.service.fault_hook import FaultHook, resolved
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
 from labdaemon.service.measuring import PoolMeasurer
-from labdaemon.service.status import place_of, status_of
-from labdaemon.service.supervise import supervise
-from labdaemon.service.watchdog import feed, notify
-from labdaemon.stream.events import EventPublisher
+from labdaemon.service.start import ExposureSteps, Start
+from labdaemon.service.status import status_of
+from labdaemon.service.supervise import as_failure, supervise
+from labdaemon.service.watchdog import notify
+from labdaemon.stream.commands import Handler
+from labdaemon.stream.events import EventPublisher, replay
 
 log = logging.getLogger(__name__)
 
-ExposureSteps = dict[str, tuple[float, ...]]
 
+async def serve(held: Held, start: Start) -> int:
+    """Wait for the devices, then serve until asked to end, or until a part fails for good.
 
-async def serve(held: Held, end: asyncio.Future[int]) -> int:
-    """Serve until told to end, or until a part fails for good; the table is at rest when this returns.
+    The table is at rest when this returns, or it was said that it is not.
 
     Parameters
     ----------
     held
         What the daemon holds.
-    end
-        Exit status, set when somebody wants it to end.
+    start
+        What waits, and answers meanwhile.
 
     Raises
     ------
+    AskedToEnd
+        Before all devices were there.
     LabdaemonError
-        A device does not answer, the events address is taken, or a part failed too often.
+        The events address is taken, or a part failed too often. Never exit status 2 once it has served.
     """
-    engine: Engine
+    engine: Engine | None = None
     config = held.config
-    place = place_of(config.source, held.data)
 
     def status() -> dict[str, Any]:
         guardian = held.guardian.describe() if held.guardian is not None else None
-        return status_of(engine, place) | {"guardian": guardian}
+        report = status_of(engine, start.place) if engine is not None else start.status()
+        return report | {"guardian": guardian}
 
     publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
-    hook = _fault_hook(held, place)
+    hook = _fault_hook(held, start.place)
 
     def committed() -> None:
         publisher.wake()
@@ -76,21 +81,35 @@ async def serve(held: Held, end: asyncio.Future[int]) -> int:
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()
-        identities = held.identities | await connect_others(held.rig)
-        steps = await exposure_steps(held.rig)
+        start.parts += [asyncio.create_task(supervise("events", publisher.run, held.clock)), held.keeping]
+        start.announce = _once(lambda: held.ready(held.commands.address, publisher.address))
+        held.desk.offer(_early(held, start, publisher, status), start.refusal)
+        identities, steps = await start.reach_devices(held.rig, held.identities)
         engine = _engine(held, recorder, pool, partial(_plan, held, steps))
         await _heed_guardian(held, engine)
         rig = _describe(held, identities, publisher.address)
         submitted = partial(_plan, held, steps, check_disk=True)
         held.keeper.report, held.keeper.trip = engine.report, engine.trip
+        start.checks |= _checks(engine)
         held.desk.open(handlers(engine, submitted, status, rig), held.journal)
         if hook is not None:
             engine.reporter.unrecorded = hook.unrecorded
-        return await _run_parts(held, engine, publisher, recorder, end, hook)
+        return await _run_parts(held, engine, publisher, start, hook)
     finally:
         publisher.close()
         pool.close()
         recorder.close()
+
+
+def _once(work: Callable[[], None]) -> Callable[[], None]:
+    """The same, but only when it is called first."""
+    left = [work]
+
+    def call() -> None:
+        if left:
+            left.pop()()
+
+    return call
 
 
 async def _heed_guardian(held: Held, engine: Engine) -> None:
@@ -110,7 +129,7 @@ async def _heed_guardian(held: Held, engine: Engine) -> None:
     held.guardian.on_lost = lost
 
 
-def _fault_hook(held: Held, place: dict[str, Any]) -> FaultHook | None:
+def _fault_hook(held: Held, place: Mapping[str, Any]) -> FaultHook | None:
     """What carries faults to a person; None where the rig file names nothing.
 
     Raises
@@ -124,31 +143,37 @@ def _fault_hook(held: Held, place: dict[str, Any]) -> FaultHook | None:
     return FaultHook(resolved(command, held.config.source), held.journal, place, held.clock)
 
 
+def _early(
+    held: Held, start: Start, publisher: EventPublisher, report: Callable[[], dict[str, Any]]
+) -> dict[str, Handler]:
+    """Commands that are carried out while devices are waited for: also what `watch` asks for."""
+
+    async def status(params: dict[str, Any]) -> Any:
+        return {**report(), "seq": held.journal.last_seq, "journal": held.journal.uuid}
+
+    async def rig(params: dict[str, Any]) -> Any:
+        return _describe(held, held.identities, publisher.address)
+
+    async def replay_events(params: dict[str, Any]) -> Any:
+        return await off_loop(replay, held.journal, params)
+
+    return {**start.handlers(), "status": status, "rig": rig, "events.replay": replay_events}
+
+
 async def _run_parts(
-    held: Held,
-    engine: Engine,
-    publisher: EventPublisher,
-    recorder: Recorder,
-    end: asyncio.Future[int],
-    hook: FaultHook | None,
+    held: Held, engine: Engine, publisher: EventPublisher, start: Start, hook: FaultHook | None
 ) -> int:
-    parts: list[asyncio.Future[Any]] = [
-        asyncio.create_task(supervise("events", publisher.run, held.clock)),
-        asyncio.create_task(supervise("commands", held.commands.run, held.clock)),
-        asyncio.create_task(engine.run()),
-        held.keeping,
-        asyncio.create_task(feed(held.clock, _checks(engine), _stalled)),
-    ]
+    parts: list[asyncio.Future[Any]] = [*start.parts, asyncio.create_task(engine.run())]
     if hook is not None:
         parts.append(asyncio.create_task(supervise("on_fault", hook.run, held.clock)))
-    held.ready(held.commands.address, publisher.address)
-    notify(f"READY=1\nSTATUS=serving on {held.commands.address}")
+    start.announce()
+    notify(f"STATUS=serving on {held.commands.address}")
     try:
-        await asyncio.wait([*parts, end], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([*parts, start.end], return_when=asyncio.FIRST_COMPLETED)
         for part in parts:
-            if part.done():
-                part.result()
-        return end.result()
+            if part.done() and (exc := part.exception()) is not None:
+                raise as_failure(exc) from exc
+        return start.end.result()
     finally:
         for part in parts:
             part.cancel()
@@ -246,7 +271,3 @@ def _checks(engine: Engine) -> Mapping[str, Callable[[], Awaitable[bool]]]:
         return engine.measuring.oldest_s() <= 2.0 * engine.limits.worker_stall_s
 
     return {"journal": journal, "guard": guard, "workers": workers}
-
-
-def _stalled(names: list[str]) -> None:
-    log.error("no progress in %s: the watchdog is not fed", ", ".join(names))

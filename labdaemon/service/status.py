@@ -53,6 +53,7 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
         "largest_target": largest.target if largest else None,
         "doubtful": largest.doubtful if largest else None,
         "doubtful_mm": largest.doubtful_mm if largest else None,
+        "waiting_for": {"disk": trouble} if (trouble := engine.reporter.disk_trouble) is not None else {},
         "faults": engine.reporter.faults,
         "last_fault": engine.reporter.last_fault,
         "queue": records.count_campaigns(journal, "queued"),

@@ -5,12 +5,15 @@ The protocol is a datagram to the socket named by ``NOTIFY_SOCKET`` (sd_notify(3
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 
 from labdaemon.clock import Clock
+
+log = logging.getLogger(__name__)
 
 DEFAULT_PERIOD_S = 20.0
 """How often progress is looked at where systemd does not ask for a watchdog."""
@@ -48,6 +51,11 @@ def watchdog_period_s(environment: Mapping[str, str] | None = None) -> float | N
     return microseconds / 2e6 if microseconds > 0 else None
 
 
+def log_stalled(names: list[str]) -> None:
+    """Say why the watchdog is not fed."""
+    log.error("no progress in %s: the watchdog is not fed", ", ".join(names))
+
+
 async def feed(
     clock: Clock,
     checks: Mapping[str, Callable[[], Awaitable[bool]]],
@@ -67,7 +75,7 @@ async def feed(
     """
     period_s = period_s if period_s is not None else watchdog_period_s() or DEFAULT_PERIOD_S
     while True:
-        behind = [name for name, check in checks.items() if not await check()]
+        behind = [name for name, check in list(checks.items()) if not await check()]
         if behind:
             stalled(behind)
         else:

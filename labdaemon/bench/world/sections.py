@@ -13,6 +13,7 @@ SECTIONS = {
     "messages": "labdaemon.bench.world.messages",
     "stopping": "labdaemon.bench.world.stopping",
     "false trips": "labdaemon.bench.world.false_trips",
+    "disk": "labdaemon.bench.world.disk",
 }
 """In the order of the table. Modules are imported when their section runs."""
 

@@ -1,0 +1,231 @@
+"""Between the table at rest and service: what is missing is waited for, as what is lost later is.
+
+After a power cut the computer is up before its devices, and before a disk that must be checked first. So commands are
+answered from the moment the socket is bound: ``status`` names what is waited for, ``stop`` stops the table, and what
+needs the devices waits a little and is then refused by the name of what is missing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labdaemon.capture.evidence import describe
+from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.capture.table import Table
+from labdaemon.clock import Clock
+from labdaemon.errors import DeviceError, LabdaemonError, StorageError
+from labdaemon.journal.journal import Journal
+from labdaemon.journal.storage import JournalError
+from labdaemon.off_loop import off_loop
+from labdaemon.service.devices import CONNECT_S
+from labdaemon.stream.commands import Handler
+from labdaemon.stream.messages import WrongState
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
+
+RETRY_S = 2.0
+"""Between two tries of the same thing; each has a deadline of its own."""
+
+DATA = "data folder"
+
+A_PERSONS = (errno.ENAMETOOLONG, errno.ELOOP)
+"""What is wrong with a path itself, and no wait mends."""
+
+NOTHING_YET = (
+    *("campaign", "name", "reason", "step", "steps", "label", "kind", "frequency_hz", "amplitude_mm"),
+    *("captures", "captures_total", "left_s", "largest_mm", "largest_target", "doubtful", "doubtful_mm"),
+)
+"""Members of `status` that are not known before the engine runs."""
+
+ExposureSteps = dict[str, tuple[float, ...]]
+
+
+class AskedToEnd(Exception):
+    """Somebody wants the daemon to end while it still waits."""
+
+
+@dataclass(slots=True)
+class Start:
+    """Waits for disk and devices, and answers commands meanwhile.
+
+    Attributes
+    ----------
+    place
+        Which daemon this is, for ``status``.
+    end
+        Exit status, set when somebody wants it to end.
+    parts
+        Tasks that run already; an error of theirs ends the wait.
+    waiting_for
+        What is missing, and what was said of it at the latest try.
+    announce
+        Called each time that a device is found missing: people and programs may ask why.
+    checks
+        What the watchdog looks at; nothing while it waits but that the event loop runs.
+    """
+
+    clock: Clock
+    table: Table
+    place: Mapping[str, Any]
+    end: asyncio.Future[int]
+    parts: list[asyncio.Task[Any]] = field(default_factory=list)
+    waiting_for: dict[str, str] = field(default_factory=dict)
+    announce: Callable[[], None] = lambda: None
+    checks: dict[str, Callable[[], Awaitable[bool]]] = field(default_factory=dict)
+
+    def status(self) -> dict[str, Any]:
+        """What there is to say before the engine runs."""
+        names = ", ".join(self.waiting_for)
+        return {
+            **dict.fromkeys(NOTHING_YET),
+            "state": "starting",
+            "doing": f"waiting for {names}" if names else "starting",
+            "waiting_for": dict(self.waiting_for),
+            "captures_manual": 0,
+            "faults": 0,
+            "last_fault": next(iter(self.waiting_for.values()), None),
+            "queue": 0,
+            "measuring": 0,
+            "table": self.table.state,
+            **self.place,
+        }
+
+    def handlers(self) -> dict[str, Handler]:
+        """Commands that need neither devices nor journal."""
+
+        async def status(params: dict[str, Any]) -> Any:
+            return self.status()
+
+        async def stop(params: dict[str, Any]) -> Any:
+            rest = await self.table.stop()
+            seen = describe(rest.seen) if self.table.state is not None else None
+            return {"rest": rest.by, "table": self.table.state, "seen": seen, "troubles": list(rest.troubles)}
+
+        return {"status": status, "stop": stop}
+
+    def refusal(self) -> LabdaemonError:
+        """Why a command cannot be carried out yet."""
+        for name, why in self.waiting_for.items():
+            if name != DATA:
+                return DeviceError(f"the daemon waits for it and serves when it is there ({why})", device=name)
+        return WrongState(f"the daemon is starting ({self.waiting_for.get(DATA, 'a moment')})")
+
+    async def open_journal(self, folder: Path, replace_damaged: bool) -> Journal:
+        """The journal of a data folder, as soon as there is a disk that takes it.
+
+        Raises
+        ------
+        JournalError
+            It is damaged, another daemon's or another program's: a person must decide.
+        StorageError
+            The folder can have no such name.
+        AskedToEnd
+            Before that.
+        """
+
+        def open_it() -> Journal:
+            return Journal(folder, self.clock, replace_damaged=replace_damaged)
+
+        while True:
+            try:
+                journal = await self._until(off_loop(open_it))
+            except StorageError as exc:
+                if isinstance(exc, JournalError) or getattr(exc.__cause__, "errno", None) in A_PERSONS:
+                    raise
+                self._misses(DATA, exc)
+                await self._until(self.clock.sleep(RETRY_S))
+            else:
+                self._has(DATA)
+                return journal
+
+    async def reach_devices(self, rig: Rig, stoppers: Mapping[str, str]) -> tuple[dict[str, str], ExposureSteps]:
+        """Every device's identity, and the exposure times that each body offers, as soon as all have answered.
+
+        Parameters
+        ----------
+        rig
+            All devices.
+        stoppers
+            Identities of shaker and trigger, where they have answered already.
+
+        Raises
+        ------
+        AskedToEnd
+            Before that.
+        """
+        found, steps = dict(stoppers), ExposureSteps()
+
+        async def reach(name: str, device: Wired[Any], *, is_kept: bool = False) -> None:
+            found[name] = str(await self._reach(name, device, lambda driver: driver.connect(), is_kept))
+
+        async def reach_camera(name: str, device: Wired[Any]) -> None:
+            info, steps[name] = await self._reach(
+                name, device, lambda driver: (driver.connect(), driver.exposure_steps_s())
+            )
+            found[name] = f"{info.manufacturer} {info.model} {info.serial}"
+
+        waits: list[Coroutine[Any, Any, None]] = [
+            reach(name, device, is_kept=True)
+            for name, device in (("trigger", rig.trigger), ("shaker", rig.shaker))
+            if device is not None and name not in stoppers
+        ]
+        waits += [reach(gauge.driver.name, gauge) for gauge in rig.gauges]
+        waits += [reach_camera(name, camera) for name, camera in rig.cameras.items()]
+        await self._until(_all(waits))
+        return found, steps
+
+    async def _reach(self, name: str, device: Wired[Any], ask: Callable[[Any], T], is_kept: bool = False) -> T:
+        """Try until it answers; what is kept by another part is not closed between two tries."""
+        while True:
+            try:
+                answer = await device.call(ask, CONNECT_S)
+            except DeviceError as exc:
+                self._misses(name, exc)
+            else:
+                self._has(name)
+                return answer
+            await self.clock.sleep(RETRY_S)
+            if not is_kept:
+                with suppress(DeviceError):  # it is the new connection that counts
+                    await device.call(lambda driver: driver.close(), CALL_S)
+
+    async def _until(self, work: Awaitable[T]) -> T:
+        """What the work gives, unless the end or an error of a running part comes first."""
+        task = asyncio.ensure_future(work)
+        others: list[asyncio.Future[Any]] = [self.end, *self.parts]
+        try:
+            await asyncio.wait([task, *others], return_when=asyncio.FIRST_COMPLETED)
+            if task.done():
+                return task.result()
+            for part in self.parts:
+                if part.done():
+                    part.result()
+            raise AskedToEnd
+        finally:
+            task.cancel()
+
+    def _misses(self, name: str, exc: LabdaemonError) -> None:
+        if name not in self.waiting_for:
+            log.warning("waiting for %s: %s", name, exc)
+        self.waiting_for[name] = str(exc)
+        if name != DATA:
+            self.announce()
+
+    def _has(self, name: str) -> None:
+        if self.waiting_for.pop(name, None) is not None:
+            log.warning("%s is there now", name)
+
+
+async def _all(waits: list[Coroutine[Any, Any, None]]) -> None:
+    async with asyncio.TaskGroup() as tasks:
+        for wait in waits:
+            tasks.create_task(wait)
