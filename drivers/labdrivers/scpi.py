@@ -146,6 +146,11 @@ class ScpiShaker:
         """Whether `stop` ends with an output that is off rather than at its lowest level."""
         return self._commands.can_switch_off
 
+    @property
+    def reports_amplifier(self) -> bool:
+        """Whether `state` says what the amplifier does, which can prove its enable line."""
+        return bool(self._commands.get_amplifier)
+
     def connect(self) -> str:
         """Open the wire and identify. Changes nothing on the controller: a moving table goes on moving."""
         self._line.open()
@@ -224,7 +229,8 @@ class ScpiShaker:
             running = self._link.ask_switch(self._commands.get_output)
         else:
             running = level > self._lowest_level * 1.01
-        return ShakerState(running, frequency_hz, level / self._per_mm(frequency_hz))
+        amplifier_on = self._link.ask_switch(self._commands.get_amplifier) if self.reports_amplifier else None
+        return ShakerState(running, frequency_hz, level / self._per_mm(frequency_hz), amplifier_on)
 
     def stop(self) -> None:
         """Ramp to rest, switch off, confirm; whatever fails on the way, the output-off is still sent.

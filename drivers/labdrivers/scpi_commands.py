@@ -51,6 +51,8 @@ class Commands(Settings):
     output_on: str = "OUTP ON"
     output_off: str = "OUTP OFF"
     get_output: str = "OUTP?"
+    get_amplifier: str = ""
+    """Asks for the state of the amplifier behind the controller, of a controller that knows it."""
     on_replies: tuple[str, ...] = ("1", "ON")
     off_replies: tuple[str, ...] = ("0", "OFF")
     error: str = "SYST:ERR?"

@@ -19,6 +19,7 @@ from labdaemon.cli.progress import duration
 from labdaemon.cli.remote import ask
 from labdaemon.errors import UsageError
 from labdaemon.service.config import load_rig, plan_rig
+from labdaemon.service.line_note import enable_line, sentence
 from labdaemon.stream.client import COMMANDS, NoDaemon
 
 WHOLE_WITHIN_CYCLES = 0.05
@@ -44,15 +45,17 @@ def plan(campaign: Path, config: Path | None, address: str, as_json: bool) -> No
     room = _free_bytes(rig.data)
     made = make_plan(load_campaign(campaign), plan_rig(rig, free_bytes=room))
     if as_json:
-        click.echo(json.dumps(_document(made)))
+        click.echo(json.dumps(_document(made) | {"enable_line": enable_line(rig)}))
         return
     for line in table(made, rig.limits):
         click.echo(line)
     if any(_star(shot.cycles) == "*" for step in made.steps for shot in step.shots):
         click.echo("* a part cycle: measured with the shutter's true window, which takes the excitation's phase")
+    note = sentence(enable_line(rig))
     click.echo(
         f"{len(made.steps)} steps, {sum(len(step.shots) for step in made.steps)} captures, about "
         f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
+        + (f"; {note}" if note else "")
     )
 
 

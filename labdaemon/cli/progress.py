@@ -65,6 +65,12 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         lines.append(f"largest    {largest}")
     for name, why in (status.get("waiting_for") or {}).items():
         lines.append(f"waits for  {name}: {why}")
+    if status.get("table"):
+        seen = "; USE THE EMERGENCY STOP IF IT MOVES" if status["table"] == "unconfirmed" else ""
+        lines.append(f"table      {status['table']}{seen}")
+    if status.get("enable_line") not in (None, "proven"):
+        accepted = ", accepted by the rig file" if status.get("accept_no_enable") else ""
+        lines.append(f"line       enable line not proven ({status['enable_line']}){accepted}")
     if status.get("faults"):
         lines.append(f"faults     {status['faults']}")
     if status.get("queue"):

@@ -9,7 +9,7 @@ from typing import Any
 
 import cv2
 
-from labdaemon.errors import DataError
+from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing.folder import NOT_FRAMES
 from labdaemon.processing.tables import Row, read_csv
 from labdaemon.report.accuracy import Accuracy, compare
@@ -88,8 +88,18 @@ def report_folder(
         for name, rows in measured.items()
     ]
     page = results / "index.html"
-    write_page(page, title, subtitle, shown)
+    write_page(page, title, "; ".join(part for part in (subtitle, _line_note(folder)) if part), shown)
     return page, [one.accuracy for one in shown if one.accuracy is not None]
+
+
+def _line_note(folder: Path) -> str:
+    """What the rig file accepted instead of an enable line that was seen to stop the table; empty where nothing."""
+    try:
+        interlocks = read_toml(folder / "rig.toml")[1].get("interlocks")
+    except ConfigError:
+        return ""
+    is_accepted = isinstance(interlocks, dict) and interlocks.get("accept_no_enable") is True
+    return "taken with accept_no_enable: the table needed no proven enable line" if is_accepted else ""
 
 
 def _facts(folder: Path) -> dict[str, dict[str, str]]:

@@ -46,3 +46,22 @@ def test_without_a_rig_file_the_simulated_one_is_taken_and_said(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match="--config"):
         CliRunner().invoke(plan, [str(THREE_MODES), "--address", "tcp://127.0.0.1:9"], catch_exceptions=False)
+
+
+def test_the_plan_says_what_stands_for_the_enable_line(tmp_path: Path) -> None:
+    rig = (CONFIG / "sim.toml").read_text()
+    folder = tmp_path / "config"
+    folder.mkdir()
+    for file in CONFIG.glob("sim-*.csv"):
+        (folder / file.name).write_text(file.read_text())
+    blind = rig.replace('role = "table"', 'role = "response"')
+    accepted = blind.replace("[interlocks]\n", "[interlocks]\naccept_no_enable = true\n")
+    said = []
+    for text in (rig, blind, accepted):
+        (folder / "rig.toml").write_text(text)
+        result = CliRunner().invoke(plan, [str(THREE_MODES), "--config", str(folder / "rig.toml")])
+        assert result.exit_code == 0, result.output
+        said.append(result.output.splitlines()[-1])
+    assert "proven before the table moves" in said[0]
+    assert "`submit` refuses" in said[1]
+    assert "accepted by accept_no_enable" in said[2]

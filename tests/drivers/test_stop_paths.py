@@ -156,3 +156,10 @@ def test_the_first_lowering_command_of_a_soft_stop_is_on_a_slow_wire_within_a_te
         delays.append(lowering[0] - asked_s)
     shaker.close()
     assert statistics.median(delays) <= 0.1, delays
+
+
+def test_a_controller_that_reports_its_amplifier_says_when_the_line_drops(rig, make_shaker, trigger):
+    shaker = make_shaker(commands={"get_amplifier": "AMPL:STAT?"})
+    assert shaker.reports_amplifier
+    assert shaker.state().amplifier_on is True  # this rig's amplifier is always enabled
+    assert make_shaker().state().amplifier_on is None

@@ -45,6 +45,10 @@ class TableWires:
         self._offset_rad = phase_rad
         self._rig.drive(self._clock(), frequency_hz=frequency_hz, level_v=level_v, running=running)
 
+    def amplifier_on(self) -> bool:
+        """Whether the amplifier is enabled, for a controller that reports it."""
+        return self._rig.enabled or not self._wired
+
     def enable(self, up: bool) -> None:
         """The box's enable line."""
         if self._wired:
