@@ -160,3 +160,16 @@ def test_a_table_that_its_gauge_sees_moving_is_not_at_rest():
         assert (await table.stop()).by == "soft"
 
     run(scenario)
+
+
+def test_a_stop_waits_for_nothing_that_does_not_answer():
+    async def scenario(fake, table, clock):
+        await table.shake(QUICK)
+        for operation in ("trigger.drop_enable", "trigger.heartbeat", "table.read", "shaker.state"):
+            fake.world.fail(operation, *["silent"] * 20)
+        asked_s = clock.monotonic()
+        with pytest.raises(RestUnconfirmed):
+            await table.stop()
+        assert min(at_s for at_s in fake.world.stopped_at if at_s >= asked_s) - asked_s <= 0.1
+
+    run(scenario)

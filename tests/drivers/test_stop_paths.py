@@ -163,3 +163,13 @@ def test_a_controller_that_reports_its_amplifier_says_when_the_line_drops(rig, m
     assert shaker.reports_amplifier
     assert shaker.state().amplifier_on is True  # this rig's amplifier is always enabled
     assert make_shaker().state().amplifier_on is None
+
+
+@pytest.mark.parametrize("how", ["stop", "stop_now"])
+def test_a_stop_at_rest_moves_nothing(rig, shaker, how: str):
+    shaker.set(5.0, 1.0)
+    shaker.stop_now()
+    for _ in range(3):
+        getattr(shaker, how)()
+        assert not rig.shaker._output
+    assert not shaker.state().running

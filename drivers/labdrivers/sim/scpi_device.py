@@ -151,8 +151,9 @@ class ScpiDevice(WireDevice):
             (prefix + r"PHAS(E)?", self._set_phase),
             (prefix + r"PHAS(E)?\?", lambda _: _number(self._phase_deg)),
         ]
-        if hasattr(self._load, "amplifier_on"):  # a controller that knows its amplifier
-            table.append((r"AMPL(IFIER)?:STAT(E)?\?", lambda _: str(int(bool(self._load.amplifier_on())))))
+        amplifier_on: Callable[[], bool] | None = getattr(self._load, "amplifier_on", None)
+        if amplifier_on is not None:  # a controller that knows its amplifier
+            table.append((r"AMPL(IFIER)?:STAT(E)?\?", lambda _: str(int(amplifier_on()))))
         if self._has_switch:
             table += [(r"OUTP(UT)?[12]?", self._set_output), (r"OUTP(UT)?[12]?\?", lambda _: str(int(self._output)))]
         return [(re.compile(pattern), handler) for pattern, handler in table]
