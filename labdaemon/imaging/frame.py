@@ -23,6 +23,9 @@ from labdaemon.imaging.lazy_image import LazyImage
 SATURATION_MARGIN = 0.01
 """Fraction of the range below white level from where on a pixel no longer counts as linear."""
 
+WHITE_PART = 0.35
+"""Part of a patch, in every channel, from which its paper counts as saturated: paper fills more than half of most."""
+
 Grey = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)
 
@@ -143,6 +146,17 @@ class RawFrame:
             if tx.stop > tx.start and ty.stop > ty.start:
                 values[ty, tx], valid[ty, tx] = light[sy, sx], good[sy, sx]
         return Patch(values=values, channel=self.channel(x0, y0, w, h), valid=valid, origin_px=(x0, y0))
+
+    def is_white(self, patch: Patch) -> bool:
+        """Whether so much of a patch of this frame is saturated, in every channel, that none shows the paper."""
+        (x0, y0), (height, width) = patch.origin_px, patch.shape
+        left, top = max(x0, 0), max(y0, 0)
+        part = self.values[top : max(y0 + height, top), left : max(x0 + width, left)]
+        if not part.size:
+            return False
+        saturated = self._reaches(self.saturation_dn, part, left, top)
+        channel = self.channel(left, top, part.shape[1], part.shape[0])
+        return all(saturated[channel == one].mean() > WHITE_PART for one in np.unique(channel))
 
     def whole(self) -> Patch:
         """The whole frame as one patch (80 bytes a pixel: for small frames and notebooks)."""

@@ -147,6 +147,7 @@ def measure_raw(
         evidence = _evidence(camera, looks[0], windows[0], found)
     else:
         found = _measure_together(camera, looks, windows)
+    found = [_with_white(one, camera.targets[index], looks, index) for index, one in enumerate(found)]
     if any(_moved(look.shift) for look in looks) or any(motion is not None and motion.moved for motion in motions):
         found = [replace(one, flags=one.flags | {Flag.CAMERA_MOVED}) for one in found]
     return FrameResult(
@@ -211,6 +212,20 @@ def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
     x, y = (round(float(v)) for v in smear.centre_px)
     w, h = (int(np.ceil(v)) for v in reach)
     return frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1)
+
+
+def _with_white(one: Measurement, target: SharpTarget, looks: Sequence[_Look], index: int) -> Measurement:
+    """A measurement, flagged `saturated` where the paper is at white level in all channels, at rest or moving.
+
+    The fit then takes the paper's brightness from the blurred edge alone, and is wrong by more than it knows.
+    """
+    if not np.isfinite(one.a_px).all():
+        return one
+    smears = [(look.frame, look.smears[index]) for look in looks]
+    white = any(smear is not None and frame.is_white(_cut(frame, target, smear)) for frame, smear in smears)
+    if white or Flag.SATURATED in target.flags:
+        return replace(one, flags=one.flags | {Flag.SATURATED})
+    return one
 
 
 def _measure_one(camera: PreparedCamera, look: _Look, window: ExposureWindow | None) -> list[Measurement]:

@@ -292,7 +292,11 @@ def _around(dot: Dot, frame: RawFrame) -> Patch:
 
 
 def _fit(dot: Dot, frames: Sequence[RawFrame]) -> SharpTarget:
-    return fit_sharp(dot, [_around(dot, frame) for frame in frames])
+    patches = [_around(dot, frame) for frame in frames]
+    target = fit_sharp(dot, patches)
+    if any(frame.is_white(patch) for frame, patch in zip(frames, patches, strict=True)):
+        return replace(target, flags=target.flags | {Flag.SATURATED})
+    return target
 
 
 def _orient(control: ControlTargets, survey: CameraSurvey, file: Path) -> Orientation:

@@ -101,3 +101,19 @@ def test_mean_of_frames_averages_noise_and_keeps_clipping() -> None:
 def test_frames_of_another_camera_are_not_averaged(other: RawFrame, says: str) -> None:
     with pytest.raises(DataError, match=says):
         mean_frame([mosaic(noise()), other])
+
+
+def test_paper_is_white_where_every_channel_of_a_patch_is_saturated() -> None:
+    values = noise()
+    assert not mosaic(values).is_white(mosaic(values).whole())
+    values[::2, 1::2] = values[1::2, ::2] = 3880  # the greens alone
+    greens = mosaic(values, ceilings_dn=np.array([np.inf, 3880, np.inf, 3880]))
+    assert not greens.is_white(greens.whole())
+    seen, coloured = greens.whole().valid, np.isin(greens.channel(0, 0, 50, 40), (0, 2))
+    assert not seen[~coloured].any()
+    assert seen[coloured].mean() > 0.98
+    values[:, 20:] = 3880
+    white = mosaic(values, ceilings_dn=np.full(4, 3880.0))
+    assert white.is_white(white.patch(20, 5, 40, 50))
+    assert white.is_white(white.patch(-5, -5, 60, 60))
+    assert not white.is_white(white.patch(100, 100, 5, 5))
