@@ -140,7 +140,7 @@ class RawFrame:
             if self.masked is not None:
                 good &= ~self.masked[ay:by, ax:bx]
             light = raw - _tile(self.black, ax, ay, bx - ax, by - ay)
-            good &= ~isolated(light, self.spacing)
+            good &= ~isolated(light, self.spacing, good)
             ty, tx = slice(max(ay, y0) - y0, min(by, y0 + h) - y0), slice(max(ax, x0) - x0, min(bx, x0 + w) - x0)
             sy, sx = slice(max(ay, y0) - ay, min(by, y0 + h) - ay), slice(max(ax, x0) - ax, min(bx, x0 + w) - ax)
             if tx.stop > tx.start and ty.stop > ty.start:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labdaemon.blur.patch.pixels import FloatArray
 
 
-def isolated(values: FloatArray, spacing: int) -> NDArray[np.bool_]:
+def isolated(values: FloatArray, spacing: int, unclipped: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Pixels beyond the largest or below the smallest of their eight neighbours by more than the noise explains.
 
     A lens blurs every real detail over its neighbours, so a single pixel that exceeds all of them is the sensor's own.
@@ -22,6 +22,8 @@ def isolated(values: FloatArray, spacing: int) -> NDArray[np.bool_]:
         (h, w) counts above black, DN.
     spacing
         Distance to the next pixel of the same colour: 2 on a Bayer mosaic, 1 on a grey sensor.
+    unclipped
+        (h, w) bool of pixels that show the noise; all if None. Clipped ones show none.
 
     Returns
     -------
@@ -34,7 +36,8 @@ def isolated(values: FloatArray, spacing: int) -> NDArray[np.bool_]:
     below = cv2.erode(image, kernel, borderType=cv2.BORDER_REFLECT_101) - image
     mean = cv2.filter2D(image, -1, kernel / np.float32(8), borderType=cv2.BORDER_REFLECT_101)
     # Edges make the difference large in few pixels; the median of its size is the noise's.
-    away = cv2.absdiff(image, mean).ravel()
+    away = cv2.absdiff(image, mean)
+    away = away.ravel() if unclipped is None or not unclipped.any() else away[unclipped]
     limit = 6.0 * 1.4826 * float(np.partition(away, away.size // 2)[away.size // 2]) + 4.0
     result: NDArray[np.bool_] = np.maximum(above, below) > limit
     return result
