@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from labdaemon.service.config_sections import ServiceSection
 
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError
 from labdaemon.journal import transitions
 from labdaemon.journal.journal import Journal
+from labdaemon.rig_sections import ServiceSection
 from labdaemon.service.fault_hook import FaultHook, message_of, resolved
 
 PLACE = {"rig": "/etc/rig.toml", "data": "/data", "host": "lab-pc", "pid": 7}
