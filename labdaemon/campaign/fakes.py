@@ -124,10 +124,14 @@ class FakeLab:
         limits: Limits | None = None,
         policy: Policy | None = None,
         has_trigger: bool = True,
+        has_shaker: bool = True,
         proof: Proof = "proven",
     ) -> None:
         self.data, self.clock = data, clock
         self.fake = rig or fake_rig(clock)
+        if not has_shaker:  # others move the table, and hold its enable line
+            self.fake.rig = replace(self.fake.rig, shaker=None)
+            self.fake.world.line_wired = False
         if not has_trigger:
             self.fake.rig = replace(self.fake.rig, trigger=None, shaker=None)
         self.limits, self.policy = limits or Limits(), policy or Policy()

@@ -99,7 +99,6 @@ def test_what_is_stated_comes_along_everywhere(simulate):
         await lab.clock.sleep(10.0)
         request = CaptureRequest("s", frequency_hz=5.0, amplitude_mm=2.0, phase_rad=0.5, exposure_s=2.0)
         lab.world.drive(True, 5.0, 2.0)
-        lab.world.enabled, lab.world.heartbeat_at = True, 1e9
         taken = await lab.engine.capture(request)
         await lab.clock.sleep(30.0)
         kept = capture_file(lab, taken.name)
@@ -112,7 +111,7 @@ def test_what_is_stated_comes_along_everywhere(simulate):
             assert {name: event[name] for name in stated} == stated
         assert events(lab, "fault") == []
 
-    simulate(scenario)
+    simulate(scenario, has_shaker=False)
 
 
 def test_what_nobody_states_is_taken_from_the_table_gauge(simulate):
@@ -120,7 +119,6 @@ def test_what_nobody_states_is_taken_from_the_table_gauge(simulate):
         await lab.engine.capture(CaptureRequest(is_sharp=True))
         await lab.clock.sleep(10.0)
         lab.world.drive(True, 7.25, 0.8)
-        lab.world.enabled, lab.world.heartbeat_at = True, 1e9
         taken = await lab.engine.capture(CaptureRequest("seen"))
         wrong = await lab.engine.capture(CaptureRequest("wrong", frequency_hz=8.0, amplitude_mm=0.8))
         await lab.clock.sleep(60.0)
@@ -131,7 +129,7 @@ def test_what_nobody_states_is_taken_from_the_table_gauge(simulate):
         assert fault["device"] == "table"
         assert "7.25 Hz where 8 Hz was stated" in fault["message"]
 
-    simulate(scenario)
+    simulate(scenario, has_shaker=False)
 
 
 def test_at_rest_nothing_is_invented_and_a_dumb_gauge_is_reported_once(simulate):
@@ -153,7 +151,6 @@ def test_at_rest_nothing_is_invented_and_a_dumb_gauge_is_reported_once(simulate)
 def test_a_sharp_set_of_a_moving_table_gives_no_rest_position(simulate):
     async def scenario(lab: FakeLab):
         lab.world.drive(True, 7.25, 0.8)
-        lab.world.enabled, lab.world.heartbeat_at = True, 1e9
         taken = await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
         await lab.clock.sleep(15.0)
         note = lab.data / "campaigns" / MANUAL / "sharp" / taken.name / "set.toml"
@@ -161,7 +158,7 @@ def test_a_sharp_set_of_a_moving_table_gives_no_rest_position(simulate):
         [fault] = events(lab, "fault")
         assert "0.8 mm at 7.25 Hz" in fault["message"]
 
-    simulate(scenario)
+    simulate(scenario, has_shaker=False)
 
 
 @pytest.mark.parametrize(
