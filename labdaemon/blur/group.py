@@ -9,14 +9,13 @@ import numpy as np
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
-from labdaemon.blur.phase.harmonic_fit import HarmonicFit, fit_harmonic
-from labdaemon.blur.phase.known_window import drop_phase
+from labdaemon.blur.phase.harmonic_fit import fit_harmonic
+from labdaemon.blur.phase.known_window import phased_measurement
 from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
-from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
-from labdaemon.blur.smear.uncertainty import quality_flags
+from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
@@ -62,11 +61,11 @@ def measure_group(
     count = len(patches)
     if count == 0 or len(windows) != count or (initial_guesses is not None and len(initial_guesses) != count):
         raise UsageError("a group needs one window (and one start, if any) for each frame")
-    if any(window.phase_rad is None for window in windows):
+    if any(window.phase_rad is None and not window.is_coded for window in windows):
         raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
     if not sharp.usable:
         return empty_measurement(sharp.name, {Flag.NOT_FOUND})
-    if all(abs(window.cycles - round(window.cycles)) < MEASURE.whole_cycle_tolerance for window in windows):
+    if all(window.fraction < MEASURE.whole_cycle_tolerance and not window.is_coded for window in windows):
         return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses)
     blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
     problems: list[FitProblem] = []
@@ -78,7 +77,7 @@ def measure_group(
         problems.append(problem)
     there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
     frame_set = FrameSet.from_problems(sharp.with_scale_uncertainty(there), problems, windows, blurs)
-    return _group_measurement(frame_set, fit_harmonic(frame_set))
+    return phased_measurement(frame_set, fit_harmonic(frame_set))
 
 
 def _average_whole_cycles(
@@ -119,17 +118,3 @@ def _average_whole_cycles(
     blur = float(weight @ np.array([one.defocus_px2 for one in seen]))
     chi2 = float(weight @ np.array([one.chi2 for one in seen]))
     return Measurement(sharp.name, value[:2], value[2:4], value[4:], covariance, False, frozenset(flags), blur, chi2)
-
-
-def _group_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
-    sharp, best, value, cov = frame_set.sharp, found.solution, found.value, found.covariance
-    flags = set(quality_flags(sharp, best, value[2:4], value[4:6]))
-    if found.at_rest:
-        flags.add(Flag.AT_REST)
-    elif found.ambiguous:
-        flags.add(Flag.AMBIGUOUS)
-    blur = float(np.mean(best.p[2 : FRAME_PARAMETERS * len(frame_set.problems) : FRAME_PARAMETERS]))
-    axes = drop_phase(sharp, found) if found.phase_unresolved else None
-    return Measurement(
-        sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
-    )

@@ -71,12 +71,13 @@ def measure(
     if problem is not None:
         sharp = sharp.with_scale_uncertainty(problem.initial_centre_px)
     blur = defocus if defocus is not None else default_defocus(sharp)
-    fraction = 0.0 if window is None else abs(window.cycles - round(window.cycles))
+    fraction = 0.0 if window is None else window.fraction
 
     def fit(problem: FitProblem) -> Measurement:
         if waveform is not None:
             return measure_waveform(sharp, problem, blur, waveform)
-        if window is not None and window.phase_rad is not None and fraction > MEASURE.whole_cycle_tolerance:
+        phased = window is not None and window.phase_rad is not None and fraction > MEASURE.whole_cycle_tolerance
+        if window is not None and (phased or window.is_coded):
             return measure_known_window(sharp, problem, blur, window, orbit=orbit)
         flags = {Flag.PART_CYCLES} if fraction > MEASURE.part_cycle_limit else set()
         return measure_whole_cycles(sharp, patch, problem, blur, orbit=orbit, flags=flags)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labdaemon.blur.light_code import LightCode
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
@@ -30,6 +31,8 @@ class ExposureWindow:
         Excitation phase ωt at the opening; None if it was not recorded.
     sd_phase_rad, sd_exposure_s
         Their standard deviations (timing jitter; shutter calibration).
+    light
+        Code of the lamp; None for constant light.
     """
 
     frequency_hz: float
@@ -37,11 +40,22 @@ class ExposureWindow:
     phase_rad: float | None = None
     sd_phase_rad: float = 0.0
     sd_exposure_s: float = 0.0
+    light: LightCode | None = None
 
     @property
     def cycles(self) -> float:
         """Excitation cycles in the exposure."""
         return self.frequency_hz * self.exposure_s
+
+    @property
+    def fraction(self) -> float:
+        """Distance of the exposure from whole cycles, cycles."""
+        return abs(self.cycles - round(self.cycles))
+
+    @property
+    def is_coded(self) -> bool:
+        """Whether the light follows the excitation, so that this one exposure shows the phase."""
+        return self.light is not None and self.light.shows_phase
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -219,6 +219,10 @@ class PhaseSettings:
     """Smallest eigenvalue of the second moment of an initial orbit. Numerics."""
     followed_minima: int = 2
     """Local minima of the phase profile that are refined. Trial."""
+    coded_minima: int = 5
+    """The same under coded light, of which the minima are narrower than the phases tried. Trial."""
+    code_axes: int = 3
+    """Axes about which a code most resembles its mirror image, each tried as a twin. Trial."""
     max_extra_cost: float = 60.0
     """Cost above the best from which a minimum is not refined. Statistics: its odds are e⁻³⁰."""
     followed_starts: int = 4

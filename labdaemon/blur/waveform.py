@@ -81,7 +81,8 @@ class MotionWaveform:
 def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:
     """Sin ωt and cos ωt at the nodes of an exposure, and their weights.
 
-    Whole cycles are evenly spaced nodes, the rest is Gauss–Legendre from the opening phase on.
+    Whole cycles are evenly spaced nodes, the rest is Gauss–Legendre from the opening phase on. Coded light has its own
+    nodes, sector by sector; ambient light adds those of the exposure, in proportion to its share of all light.
 
     Parameters
     ----------
@@ -95,7 +96,24 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
     basis, weight
         (2, K) sin and cos; (K,).
     """
+    angle, weight = _exposure_nodes(window, max_amplitude_px)
+    light = window.light
+    if light is not None:
+        lamp_angle, lamp_weight = light.lamp_nodes(max_amplitude_px)
+        lamp_weight = lamp_weight * light.cycles
+        # Both in cycles of full brightness: what the ambient light adds lasts as long as the shutter is open.
+        ambient = light.ambient * window.cycles
+        total = float(lamp_weight.sum()) + ambient
+        angle = np.concatenate((lamp_angle, angle)) if ambient > 0 else lamp_angle
+        weight = (np.concatenate((lamp_weight, weight * ambient)) if ambient > 0 else lamp_weight) / total
+    return np.stack((np.sin(angle), np.cos(angle))), weight
+
+
+def _exposure_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:
+    """Phases and weights of constant light over the exposure; under coded light of unknown opening, whole cycles."""
     cycles = window.cycles
+    if window.light is not None and window.phase_rad is None:
+        cycles = float(max(round(cycles), 1))
     phase = window.phase_rad if window.phase_rad is not None else 0.0
     whole = int(np.floor(cycles + 1e-9))
     rest = max(cycles - whole, 0.0)
@@ -109,8 +127,7 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
         nodes, weight = np.polynomial.legendre.leggauss(16 + int(3.5 * max_amplitude_px * min(1.0, 0.3 + rest)))
         angles.append(phase + np.pi * rest * (nodes + 1))
         weights.append(weight / 2 * rest / cycles)
-    angle = np.concatenate(angles)
-    return np.stack((np.sin(angle), np.cos(angle))), np.concatenate(weights)
+    return np.concatenate(angles), np.concatenate(weights)
 
 
 def quadrature_transfer(

@@ -95,9 +95,9 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
         value, covariance = selector @ best.p, selector @ covariance @ selector.T
         held = condition_on_phase(value, covariance)
         size, sd = _vector_length(value[2:], held[2:, 2:])
-        phase_unresolved, alone = False, len(frame_set.windows) == 1
-        # A single frame always has its time-reversed solution. The other direction of rotation needs no flag: the
-        # covariance includes it.
+        phase_unresolved, alone = False, not frame_set.shows_phase
+        # A single frame under constant light always has its time-reversed solution. The other direction of rotation
+        # needs no flag: the covariance includes it.
         linear = covariance
         near = other is not None and _cost_excess(best, other) < PHASE.rival_cost
         if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):

@@ -98,7 +98,7 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
     moment_px2
         (2, 2) second moment aaᵀ + bbᵀ that a model of whole cycles would read from the smear.
     """
-    periodic = len(frame_set.windows) > 1
+    periodic = frame_set.shows_phase
     if periodic:
         phases = 2 * np.pi * np.arange(PHASE.group_phases) / PHASE.group_phases
     else:
@@ -127,9 +127,10 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
             found[index] = _at(fixed, float(phases[index]), reach, start, near.light, weight)
             last = index
     solutions = [found[index] for index in range(len(phases))]
-    best, time_reversed = _refine_minimum(frame_set, phases, solutions, reach, periodic=periodic), None
+    minima = _refine_minima(frame_set, phases, solutions, reach, periodic=periodic)
+    best, time_reversed = minima[0], None
     if periodic:
-        best, time_reversed = _compare_time_reversed(frame_set, best, reach)
+        best, time_reversed = _compare_rivals(frame_set, minima, reach)
     else:
         # Long smears have valleys that are narrow between the phases tried.
         phase = float(best.p[-1])
@@ -175,14 +176,16 @@ def _at(
     return solve(fixed.planes, lambda _: kept, model, start, prior, light=light, max_iterations=6, tolerance=0.2)
 
 
-def _refine_minimum(
+def _refine_minima(
     frame_set: FrameSet, phases: FloatArray, solutions: list[Solution], max_amplitude_px: float, *, periodic: bool
-) -> Solution:
-    """The lowest place of the profile, its phase and the target's shape free."""
+) -> list[Solution]:
+    """The lowest minima of the profile, its phase and the target's shape free; the best one first."""
     cost = np.array([one.cost for one in solutions])
     padded = np.concatenate((cost[-1:], cost, cost[:1])) if periodic else np.pad(cost, 1, constant_values=np.inf)
     minima = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
-    minima = minima[np.argsort(cost[minima])][: PHASE.followed_minima]
+    # Coded light has narrow minima, which the phases that were tried do not show in their depth.
+    coded = any(window.is_coded for window in frame_set.windows)
+    minima = minima[np.argsort(cost[minima])][: PHASE.coded_minima if coded else PHASE.followed_minima]
     model, prior = frame_set.forward_model(window_in_phase_transfer, max_amplitude_px), frame_set.prior(3)
 
     def bound(p: FloatArray) -> FloatArray:
@@ -191,9 +194,9 @@ def _refine_minimum(
             p[-1] = np.clip(p[-1], phases[0], phases[-1])
         return p
 
-    best: Solution | None = None
+    refined: list[Solution] = []
     for index in minima:
-        if cost[index] > cost[minima[0]] + PHASE.max_extra_cost:
+        if not coded and cost[index] > cost[minima[0]] + PHASE.max_extra_cost:
             break
         near, phase = solutions[index], float(phases[index])
         if not periodic and index in (0, len(phases) - 1):
@@ -201,21 +204,23 @@ def _refine_minimum(
             phase += 0.4 * float(phases[abs(index - 1)] - phases[index])
         nuisance = FRAME_PARAMETERS * len(frame_set.problems)
         start = np.concatenate((near.p[:nuisance], np.zeros(frame_set.shape_count), near.p[-2:], [phase]))
-        found = solve(frame_set.planes, frame_set.weights, model, start, prior, bound=bound, light=near.light)
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
-    return best
+        refined.append(solve(frame_set.planes, frame_set.weights, model, start, prior, bound=bound, light=near.light))
+    return sorted(refined, key=lambda one: one.cost)
 
 
-def _compare_time_reversed(
-    frame_set: FrameSet, best: Solution, max_amplitude_px: float
+def _compare_rivals(
+    frame_set: FrameSet, minima: list[Solution], max_amplitude_px: float
 ) -> tuple[Solution, Solution | None]:
-    """The better one of a solution and its images in time, and the best of the others."""
+    """The best one of a profile's minima and the best one's time-reversed solutions, and the best of the others."""
     model, prior = frame_set.forward_model(window_in_phase_transfer, max_amplitude_px), frame_set.prior(3)
+    best = minima[0]
     v, phase = best.p[-3:-1], float(best.p[-1])
     kept = best.weight  # so that costs can be compared
-    found = [best]
+    # Costs under one set of weights; the other minima were followed under their own.
+    found = [
+        best,
+        *(solve(frame_set.planes, lambda _: kept, model, one.p, prior, light=one.light) for one in minima[1:]),
+    ]
     for a, b in time_reversed_solutions(frame_set, *_solution_vectors(best)):
         start = best.p.copy()
         start[-1] += wrap_angle(float(np.arctan2(b @ v, a @ v)) - phase)

@@ -12,7 +12,7 @@ from labdaemon.blur.phase.orbits import perpendicular
 from labdaemon.blur.phase.posterior import InPhaseMotion
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.forward_model import FitProblem
-from labdaemon.blur.smear.frame_set import FrameSet
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
 from labdaemon.blur.smear.uncertainty import quality_flags
 from labdaemon.flags import Flag
 
@@ -22,10 +22,27 @@ def measure_known_window(
 ) -> Measurement:
     """One frame through a known window: the axes as over whole cycles, but without the bias of the part cycle.
 
-    The phase of a single frame has a mirror image that fits as well, so it is not reported; see `measure_group`.
+    Under constant light the phase of a single frame has a mirror image that fits as well, so it is not reported; see
+    `measure_group`. Under coded light it is.
     """
-    found = fit_harmonic(FrameSet.from_problems(sharp, [problem], [window], [blur]), orbit=orbit)
-    return drop_phase(sharp, found)
+    frame_set = FrameSet.from_problems(sharp, [problem], [window], [blur])
+    found = fit_harmonic(frame_set, orbit=orbit)
+    return phased_measurement(frame_set, found) if window.is_coded else drop_phase(sharp, found)
+
+
+def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
+    """What was found, by its signed vectors a and b."""
+    sharp, best, value, cov = frame_set.sharp, found.solution, found.value, found.covariance
+    flags = set(quality_flags(sharp, best, value[2:4], value[4:6]))
+    if found.at_rest:
+        flags.add(Flag.AT_REST)
+    elif found.ambiguous:
+        flags.add(Flag.AMBIGUOUS)
+    blur = float(np.mean(best.p[2 : FRAME_PARAMETERS * len(frame_set.problems) : FRAME_PARAMETERS]))
+    axes = drop_phase(sharp, found) if found.phase_unresolved else None
+    return Measurement(
+        sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
+    )
 
 
 def drop_phase(sharp: SharpTarget, found: HarmonicFit) -> Measurement:

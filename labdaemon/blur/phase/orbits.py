@@ -85,7 +85,7 @@ def solve_orbit(
     profile, minor_px
         The in-phase motion that fits best, and the minor axis that it lacks.
     """
-    rotations = (1.0, -1.0) if len(frame_set.windows) > 1 else (1.0,)
+    rotations = (1.0, -1.0) if frame_set.shows_phase else (1.0,)
     pairs = [pair for rotation in rotations for pair in _initial_orbits(frame_set, moment_px2, rotation)]
     pairs += [vectors_from_axes(profile.vector, profile.phase, rotation * minor_px) for rotation in rotations]
     size = max(float(np.hypot(np.hypot(*a), np.hypot(*b))) for a, b in pairs)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from labdaemon.blur.light_code import mirror_axes
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.frame_set import FrameSet
@@ -31,10 +32,15 @@ def reverse_time(a: FloatArray, b: FloatArray, middle_rad: float) -> tuple[Float
 def time_reversed_solutions(frame_set: FrameSet, a: FloatArray, b: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """The mirror images of a motion in its frames, that differ from it and from each other."""
     middles: list[float] = []
-    for frame in range(len(frame_set.windows)):
-        middle = mid_exposure_phase(frame_set, frame)
-        if all(abs(np.sin(middle - one)) > PHASE.same_middle_rad for one in middles):
-            middles.append(middle)
+    for frame, window in enumerate(frame_set.windows):
+        # Coded light has its twins about the axes of the code; they are exact only for a symmetric code.
+        if window.is_coded and window.light is not None:
+            axes = mirror_axes(window.light, least_likeness=0.0)[:PHASE.code_axes]
+        else:
+            axes = [mid_exposure_phase(frame_set, frame)]
+        for middle in axes:
+            if all(abs(np.sin(middle - one)) > PHASE.same_middle_rad for one in middles):
+                middles.append(middle)
     pairs = [reverse_time(a, b, middle) for middle in middles]
     return [pair for pair in pairs if differ(a, b, *pair)]
 

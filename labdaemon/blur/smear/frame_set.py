@@ -66,6 +66,11 @@ class FrameSet:
         """Place of the first parameter of the motion."""
         return FRAME_PARAMETERS * len(self.problems) + self.shape_count
 
+    @property
+    def shows_phase(self) -> bool:
+        """Whether the frames together show the phase: several openings, or coded light."""
+        return len(self.windows) > 1 or any(window.is_coded for window in self.windows)
+
     def weights(self, signal: FloatArray) -> FloatArray:
         """Inverse variances of all pixels by the modelled values."""
         return pixel_weights(self.sharp, self.planes)(signal)
