@@ -30,7 +30,7 @@ def ink_moments(x_mm: float, z_mm: float, motion: Motion | None, fine: int = 4) 
     scene = Scene((Target("A", (x_mm, 0.0, z_mm)),), texture=0.0)
     view = View(frontal(), Shift())
     rest = np.array([x_mm, 0.0, z_mm])
-    path = Path(np.array([0.5]), np.zeros((1, 3))) if motion is None else follow(view, rest, motion, (0.0, 1.0))
+    path = Path.at_rest(0.5) if motion is None else follow(view, rest, motion, (0.0, 1.0))
     smear = smear_target(scene, 0, view, path, fine)
     assert smear is not None
     window = smear.ink.window

@@ -14,6 +14,9 @@ STEP_PX = 0.05
 
 MIN_MOMENTS, MAX_MOMENTS = 512, 60_000
 
+CODED_MOMENTS, MOMENT_PARTS = 6_000, 16
+"""Moments under a light that changes, and parts of each in which the light is looked at."""
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -37,10 +40,18 @@ class Path:
         (n,) middles of the moments.
     displacement_mm
         (n, 3) from rest.
+    weight
+        (n,) part of all light that falls in each moment; the sum is 1. Equal parts under constant light.
     """
 
     times_s: FloatArray
     displacement_mm: FloatArray
+    weight: FloatArray
+
+    @classmethod
+    def at_rest(cls, time_s: float) -> Path:
+        """Something that does not move."""
+        return cls(np.array([time_s]), np.zeros((1, 3)), np.ones(1))
 
 
 def moments(opened_s: float, exposure_s: float, count: int) -> FloatArray:
@@ -49,16 +60,37 @@ def moments(opened_s: float, exposure_s: float, count: int) -> FloatArray:
 
 
 def follow(
-    view: View, rest_mm: FloatArray, motion: Callable[[FloatArray], FloatArray], window_s: tuple[float, float]
+    view: View,
+    rest_mm: FloatArray,
+    motion: Callable[[FloatArray], FloatArray],
+    window_s: tuple[float, float],
+    brightness: Callable[[FloatArray], FloatArray] | None = None,
 ) -> Path:
-    """Sample a motion so finely that its image moves less than `STEP_PX` from one moment to the next."""
+    """Sample a motion so finely that its image moves less than `STEP_PX` from one moment to the next.
+
+    Parameters
+    ----------
+    brightness
+        Light (n,) at times (n,); None for constant light. Its edges are met to a hundredth of a thousandth of the
+        exposure.
+    """
     times = moments(*window_s, MIN_MOMENTS)
     displacement = np.asarray(motion(times), float)
     image = view.project(rest_mm + displacement)
     length = float(np.linalg.norm(np.diff(image, axis=0), axis=1).sum())
     # the first, coarse sampling may cut corners: hence the margin
-    count = int(np.clip(1.5 * length / STEP_PX, MIN_MOMENTS, MAX_MOMENTS))
+    count = int(np.clip(1.5 * length / STEP_PX, MIN_MOMENTS if brightness is None else CODED_MOMENTS, MAX_MOMENTS))
     if count > MIN_MOMENTS:
         times = moments(*window_s, count)
         displacement = np.asarray(motion(times), float)
-    return Path(times, displacement)
+    weight = np.ones(times.size) if brightness is None else _mean_brightness(brightness, times, window_s[1] / count)
+    lit = weight > 0
+    return Path(times[lit], displacement[lit], weight[lit] / weight.sum())
+
+
+def _mean_brightness(
+    brightness: Callable[[FloatArray], FloatArray], times_s: FloatArray, length_s: float
+) -> FloatArray:
+    """Light of each moment, as the mean over its own parts: an edge inside a moment counts in proportion."""
+    offsets = ((np.arange(MOMENT_PARTS) + 0.5) / MOMENT_PARTS - 0.5) * length_s
+    return np.asarray(brightness((times_s[:, None] + offsets).ravel()).reshape(times_s.size, -1).mean(axis=1))

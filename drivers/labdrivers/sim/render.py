@@ -18,7 +18,7 @@ import numpy as np
 from labdrivers.sim.background import HALF, backdrop
 from labdrivers.sim.lens import Camera, FloatArray, Shift
 from labdrivers.sim.optics import Optics
-from labdrivers.sim.path import Path, View, follow
+from labdrivers.sim.path import MAX_MOMENTS, Path, View, follow, moments
 from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
 from labdrivers.sim.sensor import FloatImage, Sensor
 from labdrivers.sim.smear import Smear, smear_tag, smear_target
@@ -53,6 +53,7 @@ def render_frame(
     *,
     motions: Mapping[str, Motion] | None = None,
     panel_motion: Motion | None = None,
+    brightness: Callable[[FloatArray], FloatArray] | None = None,
     opened_s: float = 0.0,
     exposure_s: float = 1.0,
     frequency_hz: float | None = None,
@@ -79,6 +80,8 @@ def render_frame(
         By target's name: displacement over time. Who is not named stays at rest.
     panel_motion
         Displacement (corners, n, 3) of the panels' corners at times (n,), for the looks of it.
+    brightness
+        All light (n,) at times (n,), in parts of the light at which `white_dn` holds; None for constant light.
     opened_s, exposure_s
         The shutter's window, on the motions' clock.
     frequency_hz, phase_rad
@@ -116,9 +119,9 @@ def render_frame(
         motion = (motions or {}).get(target.name)
         rest = np.asarray(target.centre_mm, float)
         path = (
-            follow(view, rest, motion, window_s)
+            follow(view, rest, motion, window_s, brightness)
             if motion is not None
-            else Path(np.array([opened_s + 0.5 * exposure_s]), np.zeros((1, 3)))
+            else Path.at_rest(opened_s + 0.5 * exposure_s)
         )
         truth[target.name] = _truth(target.name, rest, view, path, opened_s, frequency_hz, phase_rad)
         smear = smear_target(scene, index, view, path, fine)
@@ -127,9 +130,16 @@ def render_frame(
     for occluder in occluders:
         _occlude(mean_dn, occluder)
     mean_dn *= _light(scene.gradient, scene.vignetting, camera.image_size)
-    mean_dn *= np.float32(white_dn / scene.paper)
+    mean_dn *= np.float32(white_dn / scene.paper * _mean_light(brightness, opened_s, exposure_s))
     _colour(mean_dn, sensor)
     return Rendering(sensor.expose(mean_dn, seed), truth, mean_dn)
+
+
+def _mean_light(brightness: Callable[[FloatArray], FloatArray] | None, opened_s: float, exposure_s: float) -> float:
+    """Mean light over the exposure, 1 for constant light."""
+    if brightness is None:
+        return 1.0
+    return float(np.mean(brightness(moments(opened_s, exposure_s, MAX_MOMENTS))))
 
 
 Planes = dict[tuple[int, int], FloatImage]
@@ -255,18 +265,19 @@ def _truth(
     phase_rad: float,
 ) -> TargetTruth:
     image = view.project(rest_mm + path.displacement_mm)
-    away = image - image.mean(axis=0)
-    moment = away.T @ away / away.shape[0]
-    mean_mm = rest_mm + path.displacement_mm.mean(axis=0)
+    mean_px = path.weight @ image
+    away = image - mean_px
+    moment = (path.weight * away.T) @ away
+    mean_mm = rest_mm + path.weight @ path.displacement_mm
     if frequency_hz is None or path.times_s.size == 1:
-        return TargetTruth(name, mean_mm, image.mean(axis=0), moment_px2=moment)
+        return TargetTruth(name, mean_mm, mean_px, moment_px2=moment)
     angle = phase_rad + 2.0 * np.pi * frequency_hz * (path.times_s - opened_s)
     design = np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1)
     fitted = np.linalg.lstsq(design, np.concatenate([path.displacement_mm, image], axis=1))[0]
     return TargetTruth(
         name,
         mean_mm,
-        image.mean(axis=0),
+        mean_px,
         a_mm=fitted[1, :3],
         b_mm=fitted[2, :3],
         a_px=fitted[1, 3:],

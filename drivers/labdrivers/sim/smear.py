@@ -72,7 +72,7 @@ def smear_target(scene: Scene, index: int, view: View, path: Path, fine: int) ->
     if not paper_window.meets(view.camera.image_size):
         return None
     if scene.still_paper:
-        still = Path(path.times_s[:1], np.zeros((1, 3)))
+        still = Path.at_rest(float(path.times_s[0]))
         paper = _accumulate(draw_paper, scene, index, view, still, paper_window, PAPER_STEP_PX)
     else:
         paper = _accumulate(draw_paper, scene, index, view, path, paper_window, PAPER_STEP_PX)
@@ -97,9 +97,9 @@ def _accumulate(draw: Draw, scene: Scene, index: int, view: View, path: Path, wi
     image = view.project(centre + path.displacement_mm)
     total: list[NDArray[np.complex64]] = []
     for members in shape_groups(target, view, path, step_px):
-        displacement = path.displacement_mm[members].mean(axis=0)
+        weight = path.weight[members]
+        displacement = np.average(path.displacement_mm[members], axis=0, weights=weight)
         place = view.project((centre + displacement)[None, :])[0]
-        weight = np.full(members.size, 1.0 / path.times_s.size)
         dwell = transform(dwell_map(image[members] - place, weight, window))
         spectra = [transform(part) * dwell for part in draw(scene, index, view, displacement, window)]
         total = [one + other for one, other in zip(total, spectra, strict=True)] if total else spectra
@@ -132,7 +132,7 @@ def smear_tag(scene: Scene, index: int, view: View, fine: int) -> Smear | None:
     """A control target, which does not move; None if it lies outside the frame."""
     tag: Tag = scene.tags[index]
     half = 0.5 * tag.card_mm
-    still = Path(np.zeros(1), np.zeros((1, 3)))
+    still = Path.at_rest(0.0)
     image = view.project(np.asarray(tag.centre_mm)[None, :])
     paper_window = _window(view, tag.points, (half, half), still, image, max(fine // 2, 1))
     if not paper_window.meets(view.camera.image_size):
