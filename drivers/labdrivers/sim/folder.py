@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labdrivers.sim.dng import write_dng
+from labdrivers.sim.lamp import LampPlay, play_code
 from labdrivers.sim.layout import Layout, make_layout
 from labdrivers.sim.lens import Camera, FloatArray, Shift
 from labdrivers.sim.motions import Harmonic, random_motions
@@ -35,6 +36,10 @@ def make_folder(
     frequency_hz: float = 5.0,
     exposure_s: float = 1.0,
     phase_rad: Sequence[float] | None = None,
+    light: Sequence[Sequence[float]] | None = None,
+    light_phase_rad: float = 0.0,
+    ambient: float = 0.0,
+    lamp_rise_s: float = 0.0,
     tell: str = "all",
     rest_offset_mm: float = 0.0,
     sharp_frames: int = 1,
@@ -82,6 +87,11 @@ def make_folder(
         Excitation and shutter; a product that is no whole number leaves a part cycle.
     phase_rad
         Opening phases. Every capture then becomes a group of exposures of the same motion, one at each phase.
+    light
+        Codes of the lamp, as brightnesses of equal sectors of one cycle. Every capture then becomes a group of
+        exposures of the same motion, one under each code.
+    light_phase_rad, ambient, lamp_rise_s
+        Excitation phase at which the codes begin, the room's light in parts of the lamp's, and the lamp's rise time.
     tell
         What `capture.toml` says: ``all`` (frequency, exposure, phase and group), ``window`` (no phase) or ``nothing``.
     rest_offset_mm
@@ -168,8 +178,20 @@ def make_folder(
             layout.scene, rng, amplitude_mm, orbit, frequency_hz, rest_offset_mm, cameras == 1, in_phase
         )
         label = f"c{index + 1}"
-        shots = [(label, 0.0)] if phase_rad is None else [(f"{label}-{k + 1}", p) for k, p in enumerate(phase_rad)]
-        for shot, (capture, opening) in enumerate(shots):
+        shots: list[tuple[str, float, Sequence[float] | None]] = [(label, 0.0, None)]
+        if phase_rad is not None:
+            shots = [(f"{label}-{k + 1}", phase, None) for k, phase in enumerate(phase_rad)]
+        if light is not None:
+            # The shutter opens when it likes: its phase plays no part under coded light.
+            opening_phases = rng.uniform(0.0, 2.0 * np.pi, len(light))
+            shots = [(f"{label}-{k + 1}", float(opening_phases[k]), code) for k, code in enumerate(light)]
+        for shot, (capture, opening, code) in enumerate(shots):
+            opened_s = opening / (2.0 * np.pi * frequency_hz)
+            lamp = None
+            if code is not None:
+                lamp = _lamp(
+                    code, (opened_s, exposure_s), frequency_hz, light_phase_rad, ambient=ambient, rise_s=lamp_rise_s
+                )
             truth_rows: list[str] = []
             for number, (name, camera) in enumerate(layout.cameras.items()):
                 sensor = replace(body, serial=6000001 + number)
@@ -177,7 +199,8 @@ def make_folder(
                     layout.scene,
                     camera,
                     motions=motions,
-                    opened_s=opening / (2.0 * np.pi * frequency_hz),
+                    opened_s=opened_s,
+                    brightness=None if lamp is None else lamp[0],
                     exposure_s=exposure_s,
                     frequency_hz=frequency_hz,
                     phase_rad=opening,
@@ -194,14 +217,42 @@ def make_folder(
                     for target, truth in zip(layout.scene.targets, frame.truth.values(), strict=True)
                 ]
             if tell != "nothing":
-                text = _capture_toml(frequency_hz, exposure_s, opening if tell == "all" else None)
-                if phase_rad is not None:
+                text = _capture_toml(frequency_hz, exposure_s, opening if tell == "all" and code is None else None)
+                if code is not None and lamp is not None:
+                    text += _light_toml(code, light_phase_rad, lamp[1], ambient, lamp_rise_s)
+                if len(shots) > 1:
                     text += f'group = "{label}"\n'
                 (folder / "captures" / capture / "capture.toml").write_text(text)
             if shot == 0:
                 rows += truth_rows
     (folder / "truth.csv").write_text("\n".join(rows) + "\n")
     return folder
+
+
+def _lamp(
+    code: Sequence[float],
+    window_s: tuple[float, float],
+    frequency_hz: float,
+    phase_rad: float,
+    *,
+    ambient: float,
+    rise_s: float,
+) -> tuple[LampPlay, int]:
+    """The lamp's course in an exposure, and how many whole cycles of the code it plays: as many as fit."""
+    opened_s, exposure_s = window_s
+    period_s = 1.0 / frequency_hz
+    first = np.ceil((opened_s / period_s) - phase_rad / (2.0 * np.pi)) + phase_rad / (2.0 * np.pi)
+    start_s = float(first * period_s)
+    cycles = int(np.floor((opened_s + exposure_s - start_s) / period_s + 1e-9))
+    levels = tuple(float(level) for level in code)
+    return play_code(levels, start_s, period_s, cycles, rise_s=rise_s, ambient=ambient), cycles
+
+
+def _light_toml(code: Sequence[float], phase_rad: float, cycles: int, ambient: float, rise_s: float) -> str:
+    levels = ", ".join(f"{float(level):.6g}" for level in code)
+    lines = [f"light = [{levels}]", f"light_phase_rad = {float(phase_rad)!r}", f"light_cycles = {cycles}"]
+    lines += [f"ambient = {float(ambient)!r}", f"light_rise_s = {float(rise_s)!r}"]
+    return "\n".join(lines) + "\n"
 
 
 def _write(file: Path, mosaic: Mosaic, sensor: Sensor, exposure_s: float) -> None:
