@@ -9,6 +9,7 @@ part cycles). ``published`` holds the published method, to compare with.
 from labdaemon.blur.fit.static_target import measure_static
 from labdaemon.blur.frame import measure_displacement, measure_frame
 from labdaemon.blur.group import measure_group
+from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, StaticMeasurement
 from labdaemon.blur.patch.noise import estimate_noise
@@ -25,6 +26,7 @@ __all__ = [
     "Dot",
     "ExposureWindow",
     "InitialGuess",
+    "LightCode",
     "Measurement",
     "MotionWaveform",
     "NoiseModel",
@@ -42,4 +44,6 @@ __all__ = [
     "measure_frame",
     "measure_group",
     "measure_static",
+    "mirror_axes",
+    "named_code",
 ]

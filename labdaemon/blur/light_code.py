@@ -59,6 +59,8 @@ class LightCode:
         linearly meanwhile, beginning at the edge of the sector.
     sd_phase_rad, sd_ambient
         Standard deviations of phase and ambient light.
+    is_phase_known
+        False where the phase was not recorded: `phase_rad` is then any, and only the axes of a motion are known.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class LightCode:
     rise_rad: float = 0.0
     sd_phase_rad: float = 0.0
     sd_ambient: float = 0.0
+    is_phase_known: bool = True
 
     def __post_init__(self) -> None:
         values = np.asarray(self.brightness, dtype=np.float64)

@@ -6,16 +6,17 @@ a folder comes before work begins.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from labdaemon.blur.motion import ExposureWindow
-from labdaemon.errors import ConfigError, DataError
+from labdaemon.blur import ExposureWindow, LightCode
+from labdaemon.errors import ConfigError, DataError, UsageError
 from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_misspelt
 from labdaemon.processing.survey import ControlPoint, TargetPlace, read_control, read_targets
@@ -45,16 +46,72 @@ class CaptureFile(BaseModel):
     sd_exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     group: str | None = None
     sharp: str | None = None
+    light: tuple[Annotated[float, Field(ge=0, le=1)], ...] | None = None
+    """Code of the lamp: brightness in equal sectors of one excitation cycle; None for constant light."""
+    light_phase_rad: Finite | None = None
+    """Excitation phase at which the first sector begins; None where it was not recorded."""
+    light_cycles: Annotated[int, Field(ge=1)] | None = None
+    """Whole cycles of the code inside the open shutter; as many as fit where it is not given."""
+    ambient: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    """Light that is on whenever the shutter is open, in parts of the lamp's full brightness."""
+    light_rise_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Time that the lamp takes from dark to full brightness."""
     cameras: dict[str, CameraOpening] = {}
+
+    @model_validator(mode="after")
+    def _code_fits(self) -> CaptureFile:
+        if self.light is None:
+            stated = {"light_phase_rad", "light_cycles", "light_rise_s"} & self.model_fields_set
+            if stated:
+                raise ValueError(
+                    f"{min(stated)} is given, but light is not: write the code of the lamp, or leave it out"
+                )
+            return self
+        cycles = self._cycles()
+        if cycles is None and self.light_cycles is None:
+            raise ValueError("light needs light_cycles, or frequency_hz and exposure_s")
+        if cycles is not None and (self.light_cycles or 1) > cycles + 1e-6:
+            raise ValueError(
+                f"light_cycles = {self.light_cycles or 1} do not fit into an exposure of {cycles:.3g} excitation cycles"
+            )
+        if self.ambient > 0 and cycles is None:
+            raise ValueError("ambient light needs frequency_hz and exposure_s; it lasts as long as the shutter is open")
+        self.light_code()
+        return self
+
+    def _cycles(self) -> float | None:
+        """Excitation cycles in the exposure, None where unknown."""
+        if self.frequency_hz is None or self.exposure_s is None:
+            return None
+        return self.frequency_hz * self.exposure_s
+
+    def light_code(self) -> LightCode | None:
+        """The code of the lamp, None under constant light."""
+        if self.light is None:
+            return None
+        cycles = self._cycles()
+        try:
+            return LightCode(
+                self.light,
+                self.light_phase_rad or 0.0,
+                self.light_cycles or max(int((cycles or 1.0) + 1e-6), 1),
+                self.ambient,
+                2.0 * math.pi * (self.frequency_hz or 0.0) * self.light_rise_s,
+                is_phase_known=self.light_phase_rad is not None,
+            )
+        except UsageError as exc:
+            raise ValueError(str(exc)) from None
 
     def window(self, camera: str) -> ExposureWindow | None:
         """The exposure as this camera saw it; None unless frequency and exposure are both known."""
         own = self.cameras.get(camera, CameraOpening())
         exposure_s = own.exposure_s if own.exposure_s is not None else self.exposure_s
+        light = self.light_code()
         if self.frequency_hz is None or exposure_s is None:
-            return None
+            # The code is in step with the excitation, so that its frequency plays no part.
+            return None if light is None else ExposureWindow(1.0, float(light.cycles), light=light)
         phase_rad = own.phase_rad if own.phase_rad is not None else self.phase_rad
-        return ExposureWindow(self.frequency_hz, exposure_s, phase_rad, self.sd_phase_rad, self.sd_exposure_s)
+        return ExposureWindow(self.frequency_hz, exposure_s, phase_rad, self.sd_phase_rad, self.sd_exposure_s, light)
 
 
 @dataclass(frozen=True, slots=True)

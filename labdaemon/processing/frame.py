@@ -142,7 +142,7 @@ def measure_raw(
     evidence: tuple[float, ...] = ()
     if method == "paper":
         found = _by_paper(camera, looks)
-    elif len(frames) == 1:
+    elif len(frames) == 1 and not (windows[0] is not None and windows[0].is_coded):
         found = _measure_one(camera, looks[0], windows[0])
         evidence = _evidence(camera, looks[0], windows[0], found)
     else:

@@ -17,13 +17,13 @@ FLOOR_PX2 = 1e-6
 
 
 def is_part(window: ExposureWindow) -> bool:
-    """Whether an exposure is no whole number of cycles."""
-    return abs(window.cycles - round(window.cycles)) > PART
+    """Whether an exposure under constant light is no whole number of cycles."""
+    return window.light is None and window.fraction > PART
 
 
 def holds_phase(window: ExposureWindow) -> bool:
-    """Whether an exposure shows which way a point moved: its phase is known and its cycles are not whole."""
-    return window.phase_rad is not None and is_part(window)
+    """Whether an exposure shows which way a point moved: coded light, or part cycles from a known phase."""
+    return window.is_coded or (window.phase_rad is not None and is_part(window))
 
 
 def mean_of(measured: Sequence[Measurement]) -> Measurement:

@@ -33,6 +33,8 @@ def measure_known_window(
 def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
     """What was found, by its signed vectors a and b."""
     sharp, best, value, cov = frame_set.sharp, found.solution, found.value, found.covariance
+    if any(window.light is not None and not window.light.is_phase_known for window in frame_set.windows):
+        return drop_phase(sharp, found)
     flags = set(quality_flags(sharp, best, value[2:4], value[4:6]))
     if found.at_rest:
         flags.add(Flag.AT_REST)
