@@ -124,7 +124,7 @@ class LightCode:
         def add(begin: float, end: float, first: float, last: float) -> None:
             if max(first, last) <= 0 or end <= begin:
                 return
-            count = 4 + int(np.ceil((2.0 + 0.6 * max_amplitude_px) * (end - begin)))
+            count = 6 + int(np.ceil((2.5 + 0.8 * max_amplitude_px) * (end - begin)))
             x, w = np.polynomial.legendre.leggauss(count)
             part = (x + 1) / 2
             angles.append(self.phase_rad + begin + (end - begin) * part)

@@ -74,8 +74,6 @@ class CaptureFile(BaseModel):
             raise ValueError(
                 f"light_cycles = {self.light_cycles or 1} do not fit into an exposure of {cycles:.3g} excitation cycles"
             )
-        if self.ambient > 0 and cycles is None:
-            raise ValueError("ambient light needs frequency_hz and exposure_s; it lasts as long as the shutter is open")
         self.light_code()
         return self
 

@@ -62,6 +62,8 @@ class PhaseProfile:
         Of several frames, the best solution that is its mirror image in time, where there is one.
     periodic
         Whether the phases go round the circle.
+    coded
+        Whether coded light shows the phase.
     """
 
     phase_rad: FloatArray
@@ -71,6 +73,7 @@ class PhaseProfile:
     best: Solution
     time_reversed: Solution | None
     periodic: bool
+    coded: bool = False
 
     @property
     def vector(self) -> FloatArray:
@@ -81,6 +84,11 @@ class PhaseProfile:
     def phase(self) -> float:
         """ψ of the best solution."""
         return float(self.best.p[-1])
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether the minimum is narrower than the phases tried; other minima were followed and are in rivals."""
+        return self.coded and self.sd_phase < PHASE.linear_phase_sd_rad
 
     @property
     def sd_phase(self) -> float:
@@ -146,7 +154,8 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
     places = np.array(
         [one.p[: FRAME_PARAMETERS * frames].reshape(frames, FRAME_PARAMETERS)[:, :2].mean(axis=0) for one in solutions]
     )
-    return PhaseProfile(phases, cost, vectors, places, best, time_reversed, periodic)
+    coded = any(window.is_coded for window in frame_set.windows)
+    return PhaseProfile(phases, cost, vectors, places, best, time_reversed, periodic, coded)
 
 
 def _window_moments(frame_set: FrameSet, phase_rad: float) -> tuple[list[float], float]:

@@ -50,7 +50,7 @@ def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArr
     phases, probability, others = phase_posterior(profile)
     value = in_phase_vectors(p[None])[0]
     scatter = 2 * float(probability @ (1 - np.cos(phases - p[4])))
-    if max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2:
+    if profile.is_narrow or max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2:
         c, s, v = np.cos(p[4]), np.sin(p[4]), p[2:4]
         jacobian = np.zeros((6, 5))
         jacobian[:, :4] = _vector_jacobian(p[4])
@@ -113,6 +113,8 @@ def is_bimodal(profile: PhaseProfile) -> bool:
     if not profile.periodic:
         middle = (profile.phase_rad[0] + profile.phase_rad[-1]) / 2
         return bool(np.pi - 2 * abs(profile.phase - middle) > 3 * min(profile.sd_phase, PHASE.linear_phase_sd_rad))
+    if profile.is_narrow:
+        return False
     scale = max(profile.best.chi2, 1.0)
     cost = (profile.cost - profile.cost.min()) / scale
     cost = np.roll(cost, -int(np.argmin(cost)))

@@ -35,7 +35,7 @@ def time_reversed_solutions(frame_set: FrameSet, a: FloatArray, b: FloatArray) -
     for frame, window in enumerate(frame_set.windows):
         # Coded light has its twins about the axes of the code; they are exact only for a symmetric code.
         if window.is_coded and window.light is not None:
-            axes = mirror_axes(window.light, least_likeness=0.0)[:PHASE.code_axes]
+            axes = mirror_axes(window.light, least_likeness=0.0)[: PHASE.code_axes]
         else:
             axes = [mid_exposure_phase(frame_set, frame)]
         for middle in axes:
