@@ -34,6 +34,9 @@ NAMED_SECTORS = 64
 EVEN_TOLERANCE = 1e-6
 """Difference of brightness below which neighbouring sectors are one, and a code shows no phase."""
 
+MIN_RISE_RAD = 1e-9
+"""Rise time below which the lamp switches at once."""
+
 AXIS_SEPARATION = 0.15
 """Sine of the angle between two axes of a code below which they are one."""
 
@@ -102,7 +105,7 @@ class LightCode:
         place = np.mod(np.asarray(phase_rad, dtype=np.float64) - self.phase_rad, _FULL_TURN)
         index = np.minimum((place / sector).astype(int), values.size - 1)
         now, before = values[index], values[index - 1]
-        if self.rise_rad <= 0:
+        if self.rise_rad < MIN_RISE_RAD:
             return np.asarray(now)
         risen = np.clip((place - index * sector) / self.rise_rad, 0.0, 1.0)
         result: FloatArray = before + (now - before) * risen
@@ -132,7 +135,7 @@ class LightCode:
 
         for first, last in _equal_runs(values):
             begin, level, before = first * sector, float(values[first]), float(values[first - 1])
-            rise = self.rise_rad if abs(level - before) > EVEN_TOLERANCE else 0.0
+            rise = self.rise_rad if abs(level - before) > EVEN_TOLERANCE and self.rise_rad >= MIN_RISE_RAD else 0.0
             add(begin, begin + rise, before, level)
             add(begin + rise, last * sector, level, level)
         return np.concatenate(angles), np.concatenate(weights)
