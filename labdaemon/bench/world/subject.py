@@ -15,7 +15,6 @@ from typing import Any
 from labdaemon.bench.kill import Victim, small_rig
 from labdaemon.bench.verdict import Verdict, judge
 from labdaemon.errors import LabdaemonError
-from labdaemon.rig_sections import InterlocksSection
 from labdaemon.stream.client import Client
 
 STEPS = 6
@@ -47,9 +46,9 @@ class Subject(Victim):
     def __init__(self, rig: Any, folder: Path) -> None:
         super().__init__(rig, folder)
         self.campaigns = 0
-        accepted = "".join(f"{key} = true\n" for key in InterlocksSection.model_fields if key.startswith("accept_"))
         text = self.config.read_text()
-        self.config.write_text(text.replace("[interlocks]\n", f"[interlocks]\n{accepted}", 1))
+        if "accept_no_enable" not in text:
+            self.config.write_text(text.replace("[interlocks]\n", "[interlocks]\naccept_no_enable = true\n", 1))
 
     def start(self, transition: str = "") -> float | None:
         """Start it and wait until it serves."""
