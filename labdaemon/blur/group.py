@@ -6,15 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labdaemon.blur.average import average_measurements
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
-from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.patch.pixels import Patch
 from labdaemon.blur.phase.harmonic_fit import fit_harmonic
 from labdaemon.blur.phase.known_window import phased_measurement
 from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
-from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
+from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
 from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
@@ -87,34 +88,16 @@ def _average_whole_cycles(
     defocus: Sequence[Defocus] | Defocus | None,
     initial_guesses: Sequence[InitialGuess] | None,
 ) -> Measurement:
-    """Whole cycles look the same from whatever phase they are opened at: the frames' mean, drop_phase."""
-    single = [
-        measure(
-            sharp,
-            patch,
-            window=windows[index],
-            defocus=defocus[index] if isinstance(defocus, Sequence) else defocus,
-            initial_guess=None if initial_guesses is None else initial_guesses[index],
-        )
-        for index, patch in enumerate(patches)
-    ]
-    seen = [one for one in single if np.all(np.isfinite(one.a_px))]
-    if not seen:
-        return single[0]
-    reference = max(seen, key=lambda one: float(np.hypot(*one.a_px)))
-
-    def vector(one: Measurement) -> FloatArray:
-        a = one.a_px if float(one.a_px @ reference.a_px) >= 0 else -one.a_px
-        b = one.b_px if float(one.b_px @ reference.b_px) >= 0 else -one.b_px
-        return np.concatenate((one.centre_px, a, b))
-
-    weight = np.array([1 / max(float(np.trace(one.covariance_px2[2:4, 2:4])), 1e-12) for one in seen])
-    weight /= weight.sum()
-    value = np.sum([w * vector(one) for w, one in zip(weight, seen, strict=True)], axis=0)
-    covariance = np.sum([w**2 * one.covariance_px2 for w, one in zip(weight, seen, strict=True)], axis=0)
-    flags = {flag for one in single for flag in one.flags}
-    if not all(Flag.AT_REST in one.flags for one in single):
-        flags.discard(Flag.AT_REST)
-    blur = float(weight @ np.array([one.defocus_px2 for one in seen]))
-    chi2 = float(weight @ np.array([one.chi2 for one in seen]))
-    return Measurement(sharp.name, value[:2], value[2:4], value[4:], covariance, False, frozenset(flags), blur, chi2)
+    """Mean over the frames, without phase: whole cycles give the same image whatever phase they begin at."""
+    return average_measurements(
+        [
+            measure(
+                sharp,
+                patch,
+                window=windows[index],
+                defocus=defocus[index] if isinstance(defocus, Sequence) else defocus,
+                initial_guess=None if initial_guesses is None else initial_guesses[index],
+            )
+            for index, patch in enumerate(patches)
+        ]
+    )

@@ -14,7 +14,7 @@ from labdaemon.blur.phase.known_window import measure_known_window
 from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
-from labdaemon.blur.smear.forward_model import FitProblem, prepare_fit
+from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.blur.waveform import MotionWaveform
 from labdaemon.flags import Flag

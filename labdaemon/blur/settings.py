@@ -55,6 +55,8 @@ class MeasureSettings:
     """Cycles from a whole number above which the model of whole cycles is biased (flag ``part_cycles``). Contract."""
     min_contrast_ratio: float = 0.2
     """Contrast of a textured patch, over the sharp frame's, below which the patch is not in the frame. Trial."""
+    mean_floor_px2: float = 1e-6
+    """Variance that keeps a singular covariance (a straight path's) invertible in a weighted mean. Numerics."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.network import Network, check_network
 from labdaemon.geometry.normal_equations import LinearisedNetwork, NormalEquations, apply_change, form_normal, linearise
 
-_CHUNK = 4000  # sightings or points whose dense rows are held at once
+_CHUNK = 4000  # observations or points whose dense rows are held at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +30,7 @@ class Adjustment:
     network
         The same observations with adjusted lenses, poses and points.
     residuals_px
-        (n, 2) of the sightings.
+        (n, 2) of the observations.
     survey_residuals
         (p, 3) surveyed minus adjusted coordinates, 0 where nothing was known.
     sigma0
@@ -43,7 +43,7 @@ class Adjustment:
         Steps until the solution stood still.
     cofactor
         (k, k) covariance of the camera unknowns for unit weight: free interior parameters lens by lens, then six
-        exterior parameters a picture (rotation vector in camera axes, position).
+        exterior parameters an image (rotation vector in camera axes, position).
     """
 
     network: Network
@@ -73,7 +73,7 @@ class Adjustment:
         return result * (self.sigma0 if scaled else 1.0)
 
     def exterior_covariance(self, *, scaled: bool = True) -> FloatArray:
-        """(6 m, 6 m) joint covariance of all pictures' exterior parameters."""
+        """(6 m, 6 m) joint covariance of all images' exterior parameters."""
         start = self.interior_count
         return self.cofactor[start:, start:] * (self.sigma0**2 if scaled else 1.0)
 
@@ -98,10 +98,10 @@ class Adjustment:
         return result * (self.sigma0**2 if scaled else 1.0)
 
     def fitted_cofactor(self) -> FloatArray:
-        """(n, 2, 2) covariance of each sighting's computed pixel for unit weight.
+        """(n, 2, 2) covariance of each observation's computed pixel for unit weight.
 
-        What is left of the sighting's own variance after subtracting it is its residual's; their ratio is the
-        sighting's redundancy.
+        What is left of the observation's own variance after subtracting it is its residual's; their ratio is the
+        observation's redundancy.
         """
         network, linear = self.network, self._linear
         count, size = len(network.image), self._inverse.shape[0]
@@ -178,7 +178,7 @@ def adjust_network(network: Network, *, names: Sequence[str] | None = None, max_
     unknowns = cameras_count + int((network.survey_sd > 0).sum())
     freedom = observations + (len(linear.extra_diagonal) - len(network.bars)) - unknowns
     if freedom < 0:
-        raise DataError(f"{observations} observations for {unknowns} unknowns: more pictures or control are needed")
+        raise DataError(f"{observations} observations for {unknowns} unknowns: more images or control are needed")
     return Adjustment(
         network,
         linear.residuals,

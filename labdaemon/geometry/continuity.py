@@ -1,16 +1,16 @@
-"""Which of two solutions a target's neighbours speak for.
+"""Resolution of an ambiguous match by the target's neighbours.
 
-Where motion lies in the epipolar plane two cameras see it alike whichever way its ends are matched. A structure does
-not move anyhow, though. Two things are asked of the settled targets around (of the same member, where members are
-known), the nearer the more:
+Motion in the epipolar plane gives two cameras the same images whichever way its ends are matched. A structure, however,
+moves as a whole. Two tests use the resolved targets around (of the same member, where members are known), the nearer
+ones with more weight:
 
-- *Continuity*: a mode shape is smooth along a member. Does one solution continue the nearest neighbours' vectors, the
-  other not?
-- *Likeness*: is one solution a motion as others have it in direction and size, and the other like none of theirs? The
-  vectors' second moment describes the population, and a multivariate t distribution with as many degrees of freedom
-  as there are witnesses keeps a few of them from claiming too much.
+- *Continuity*: a mode shape is smooth along a member. One solution continues the vectors of the nearest neighbours, the
+  other does not.
+- *Similarity*: one solution resembles the population in direction and size, the other does not. The second moment of
+  the vectors describes the population; a multivariate t distribution with as many degrees of freedom as neighbours
+  keeps a few of them from a false certainty.
 
-Either must speak clearly, and not against the other; otherwise the target stays ambiguous.
+One test must be clear and the other must not contradict it; otherwise the target stays ambiguous.
 """
 
 from __future__ import annotations
@@ -93,5 +93,5 @@ def _similar_solution(
     if abs(odds) < np.log(NEIGHBOURS.min_odds):
         return None
     best = 0 if odds > 0 else 1
-    # Something that nobody does either is not believed for being less strange than its rival.
+    # A motion unlike the whole population is not chosen only because the other one is less likely still.
     return best if distances2[best] < NEIGHBOURS.max_distance2 else None

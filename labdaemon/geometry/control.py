@@ -59,7 +59,7 @@ def check_control(names: Sequence[str], image_px: FloatArray, object_mm: FloatAr
             "write it in millimetres"
         )
     if spread[1] < 0.02 * spread[0]:
-        raise DataError(f"control targets {', '.join(names)} all lie in a line: add some beside it")
+        raise DataError(f"control targets {', '.join(names)} all lie in a line: add some off that line")
 
 
 def check_volume(object_mm: FloatArray, sd_object_mm: FloatArray) -> None:

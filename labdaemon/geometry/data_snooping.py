@@ -1,7 +1,9 @@
-"""Least squares over points of a picture, each with its own 2 × 2 covariance, and the search for gross errors.
+"""Least squares over points of an image, each with its own 2 × 2 covariance, and the search for gross errors.
 
-A point that stands out by its residual against that residual's own standard deviation (Baarda's data snooping, both
-coordinates together) is left out; one that fits after all is taken back.
+A point whose residual is large against that residual's own standard deviation is left out (data snooping, both
+coordinates together; Baarda 1968, A testing procedure for use in geodetic networks, Netherlands Geodetic Commission,
+Publications on Geodesy 2(5)). A point that fits after all is taken back. The initial solution uses Cauchy's weights
+(Holland and Welsch 1977, doi:10.1080/03610927708827533).
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from scipy.stats import chi2
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.settings import SNOOPING
+from labdaemon.least_squares import cauchy_weight, damped_step
 
 State = TypeVar("State")
 
@@ -58,9 +61,7 @@ class RobustPointAdjustment(Generic[State]):
             if here is None:
                 return state
             value, normal, gradient = here
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-            scaled = normal * np.outer(scale, scale) + damping * np.eye(len(scale))
-            step = scale * np.linalg.lstsq(scaled, scale * gradient, rcond=None)[0]
+            step = damped_step(normal, gradient, damping)
             if not np.isfinite(step).all():
                 return state
             trial = self.move(state, step)
@@ -85,7 +86,7 @@ class RobustPointAdjustment(Generic[State]):
             return None
         lost = 1e6 * float((weights > 0).sum() - usable.sum())  # a point behind the camera is no improvement
         squares = squares[usable]
-        weight = weights[usable] * (1.0 / (1.0 + squares / SNOOPING.cauchy_scale2) if robust else 1.0)
+        weight = weights[usable] * (cauchy_weight(squares, SNOOPING.cauchy_scale2) if robust else 1.0)
         value = lost + float(
             np.sum(
                 weights[usable]
@@ -176,5 +177,5 @@ def exclusion_reason(residual_px: FloatArray, square: float) -> str:
     """Say why a control target was left out."""
     return (
         f"residual ({residual_px[0]:+.2f}, {residual_px[1]:+.2f}) px is {np.sqrt(square):.0f} times its standard "
-        "deviation: misread in the frame or mis-surveyed"
+        "standard deviation: misread in the frame or mis-surveyed"
     )

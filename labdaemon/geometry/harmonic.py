@@ -1,6 +1,6 @@
-"""How a sinusoidal path in space appears in a picture: mean and first harmonic of its projection.
+"""How a sinusoidal path in space appears in an image: mean and first harmonic of its projection.
 
-A camera is not linear, so the ends of a long path are not at equal distances from the picture of its mean. What the
+A camera is not linear, so the ends of a long path are not at equal distances from the image of its mean. What the
 blur measurement reports is the path's mean and first harmonic, which are computed here by quadrature over one cycle
 (the plain mean over equally spaced phases is exact for the harmonics that matter).
 """
@@ -20,11 +20,11 @@ _BASIS = np.stack([np.ones(NODES), _SIN, _COS])  # how mean, a and b enter the p
 _WEIGHT = np.stack([np.ones(NODES), 2.0 * _SIN, 2.0 * _COS]) / NODES  # and are taken from it again
 
 Projector = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
-"""(n, d) points -> (n, 2) pixels, (n, 2, d) derivative by the points, (n, 2, m) by whatever else it depends on."""
+"""(n, d) points -> (n, 2) pixels, (n, 2, d) derivative by the points, (n, 2, m) by its other parameters."""
 
 
 def project_motion(project: Projector, motion: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and first harmonic of a path's picture.
+    """Mean and first harmonic of a path's image.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def project_motion(project: Projector, motion: FloatArray) -> tuple[FloatArray, 
     Returns
     -------
     tuple
-        (6,) picture (x, y, ax, ay, bx, by) in px; (6, 3 d) its derivative by (mean, a, b); (6, m) its derivative by
+        (6,) image (x, y, ax, ay, bx, by) in px; (6, 3 d) its derivative by (mean, a, b); (6, m) its derivative by
         the projector's other parameters.
     """
     dimension = motion.shape[1]

@@ -2,8 +2,8 @@
 
 Cameras oriented one by one on the same survey each inherit its errors in their own way, so that their rays miss each
 other by the survey's uncertainty. Adjusted together, with the control targets' coordinates as observations and the
-monitoring targets (at rest) as ties, they agree to the pixel's uncertainty; what is left of the survey's errors moves
-all of them alike and is in the joint covariance.
+monitoring targets (at rest) as ties, they agree to the pixel's uncertainty; the remaining errors of the survey move
+all cameras together and are in the joint covariance.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def orient_jointly(
     control
         The survey.
     side_mm
-        True size of the control targets; with the sightings' `side_px` it uncovers a survey in the wrong unit.
+        True size of the control targets; with the observations' `side_px` it uncovers a survey in the wrong unit.
     volume
         Refuse control in one plane; by default when there are several cameras.
 

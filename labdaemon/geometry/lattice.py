@@ -1,4 +1,4 @@
-"""Which dot of a picture is which node of a square lattice of dots, seen in perspective through a distorting lens.
+"""Which dot of an image is which node of a square lattice of dots, seen in perspective through a distorting lens.
 
 The lattice is grown from a seed, each step predicted from the last one, so that neither the lens nor the view needs to
 be known. A sheet is seen from its printed side, so the lattice's handedness is known; which way round it is, coded
@@ -29,7 +29,7 @@ def grow_lattice(centres_px: FloatArray) -> dict[Node, int]:
     Parameters
     ----------
     centres_px
-        (n, 2) dots of a picture, x right and y down.
+        (n, 2) dots of an image, x right and y down.
 
     Returns
     -------
@@ -51,17 +51,17 @@ def grow_lattice(centres_px: FloatArray) -> dict[Node, int]:
 
 
 def place_lattices(marks: Sequence[Mapping[str, Node]]) -> list[Placement | None]:
-    """Turns and shifts that bring the lattices of several pictures to one.
+    """Turns and shifts that bring the lattices of several images to one.
 
     Parameters
     ----------
     marks
-        For each picture, the nodes of its coded marks by name.
+        For each image, the nodes of its coded marks by name.
 
     Returns
     -------
     list
-        One placement a picture (see `apply_placement`), None where it shares fewer than two marks with the others.
+        One placement an image (see `apply_placement`), None where it shares fewer than two marks with the others.
     """
     result: list[Placement | None] = [None] * len(marks)
     if not marks:

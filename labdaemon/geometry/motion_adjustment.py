@@ -1,6 +1,6 @@
-"""Space intersection: one target's motion from its pictures in several cameras, by generalised least squares.
+"""Space intersection: one target's motion from its images in several cameras, by generalised least squares.
 
-The observations' covariance is that of the pictures plus what the uncertainty of the cameras' orientation makes of
+The observations' covariance is that of the images plus what the uncertainty of the cameras' orientation makes of
 them, so that cameras whose errors hang together (oriented on the same survey) are weighed as they should be, and the
 result's covariance is complete.
 """
@@ -75,7 +75,7 @@ def nearest_point(cameras: Sequence[OrientedCamera], mean_px: Sequence[FloatArra
 
 
 ObservationModel = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
-"""Picture (6,) of one camera, its derivatives by motion (6, 9) and exterior (6, 6) -> what is observed of it."""
+"""Image (6,) of one camera, its derivatives by motion (6, 9) and exterior (6, 6) -> what is observed of it."""
 
 
 def adjust_motion(
@@ -100,7 +100,7 @@ def adjust_motion(
     observed, noise
         For each camera (k,) observations and their (k, k) covariance.
     model
-        Takes a camera's picture to its observations.
+        Takes a camera's image to its observations.
     free
         Which of the nine parameters (mean, a, b) are solved for; the others keep their start.
     start

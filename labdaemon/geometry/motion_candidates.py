@@ -11,9 +11,9 @@ import numpy as np
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray, ImageMotion
 from labdaemon.geometry.motion_adjustment import Candidate, adjust_motion, nearest_point
-from labdaemon.geometry.orbit import principal_axes, second_moment, second_moment_covariance, second_moment_jacobian
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.settings import INTERSECTION
+from labdaemon.orbit_axes import principal_axes, second_moment, second_moment_covariance, second_moment_jacobian
 
 
 def straight_candidates(
@@ -104,9 +104,9 @@ def phased_candidate(
 def orbit_candidates(
     cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion]
 ) -> list[Candidate]:
-    """Solutions of an orbit from the second moments of its pictures, distinct ones only, best first.
+    """Solutions of an orbit from the second moments of its images, distinct ones only, best first.
 
-    Each picture's ``M = a aᵀ + b bᵀ`` is the projection of ``A Aᵀ + B Bᵀ``, which has rank 2. Two cameras leave the
+    Each image's ``M = a aᵀ + b bᵀ`` is the projection of ``A Aᵀ + B Bᵀ``, which has rank 2. Two cameras leave the
     product of their rays' directions undetermined, and rank 2 picks two roots along it (measurement note, section 4).
     """
     mean = nearest_point(cameras, [motion.mean_px for motion in motions])
@@ -161,7 +161,7 @@ def _minor_covariance(
 ) -> FloatArray:
     """(3, 3) covariance of a minor axis that was found to be zero.
 
-    A picture shows of it only what stands across the path: the rest would merely lengthen a. It is at right angles to
+    An image shows of it only what stands across the path: the rest would merely lengthen a. It is at right angles to
     the major axis and no longer than that.
     """
     size = max(float(np.linalg.norm(motion_mm[1])), 1e-6)
@@ -182,7 +182,7 @@ def _minor_covariance(
 def _moment_model(
     image: FloatArray, by_motion: FloatArray, by_exterior: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and second moment of one camera's picture."""
+    """Mean and second moment of one camera's image."""
     a, b = image[2:4], image[4:6]
     change = np.zeros((5, 6))
     change[:2, :2] = np.eye(2)

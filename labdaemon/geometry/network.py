@@ -1,4 +1,4 @@
-"""What a bundle adjustment adjusts: cameras, their pictures, points, and what is known of them beforehand."""
+"""What a bundle adjustment adjusts: cameras, their images, points, and what is known of them beforehand."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class LensModel(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Exterior orientation of one picture: ``x_camera = rotation @ (x_object - position)``."""
+    """Exterior orientation of one image: ``x_camera = rotation @ (x_object - position)``."""
 
     rotation: FloatArray
     position: FloatArray
@@ -59,11 +59,11 @@ class Network:
     lenses
         Cameras' interior orientations.
     poses, lens_of
-        One a picture, and the index of the lens it was taken with.
+        One an image, and the index of the lens it was taken with.
     points
         (p, 3) starting coordinates; those of control points are their surveyed ones.
     image, point
-        (n,) indices of each sighting's picture and point.
+        (n,) indices of each observation's image and point.
     image_px, sd_px
         (n, 2) measured pixels, and (n,) or scalar standard deviation of a coordinate.
     control_sd
@@ -92,7 +92,7 @@ class Network:
 
     @property
     def weights(self) -> FloatArray:
-        """(n,) 1/variance of each sighting's coordinates."""
+        """(n,) 1/variance of each observation's coordinates."""
         return np.broadcast_to(np.asarray(self.sd_px, dtype=float), (len(self.image),)) ** -2.0
 
     @property
@@ -123,16 +123,16 @@ def check_network(network: Network, names: Sequence[str]) -> None:
     Raises
     ------
     DataError
-        A free point seen in fewer than two pictures, a picture with fewer than three points, or no datum.
+        A free point seen in fewer than two images, an image with fewer than three points, or no datum.
     """
     rays = np.bincount(network.point, minlength=len(network.points))
     known = np.isfinite(network.survey_sd).all(axis=1)
     undetermined = np.flatnonzero((rays < 2) & ~known)
     if undetermined.size:
         listing = ", ".join(names[i] for i in undetermined[:10].tolist())
-        raise DataError(f"seen in fewer than two pictures, so that their place is not fixed: {listing}")
+        raise DataError(f"seen in fewer than two images, so that their place is not fixed: {listing}")
     observed = np.bincount(network.image, minlength=len(network.poses))
     if np.any(observed < 3):
-        raise DataError(f"picture {int(np.argmin(observed)) + 1} shows only {observed.min()} points: three are needed")
+        raise DataError(f"image {int(np.argmin(observed)) + 1} shows only {observed.min()} points: three are needed")
     if not network.datum and np.isfinite(network.survey_sd).sum() + len(network.bars) < 7:
         raise DataError("neither control points nor a free network: nothing says where and how large the object is")

@@ -1,7 +1,7 @@
 """Normal equations of a bundle adjustment with the points eliminated (Schur complement).
 
-Unknowns come in two kinds: *camera* unknowns (interior, exterior) that many sightings share, and points, each of which
-couples only with the cameras that see it. The points' part V of the normal matrix is therefore 3 × 3 blocks, and
+Unknowns come in two kinds: *camera* unknowns (interior, exterior) that many observations share, and points, each of
+which couples only with the cameras that see it. The points' part V of the normal matrix is therefore 3 × 3 blocks, and
 
     S = U − W V⁻¹ Wᵀ
 
@@ -30,12 +30,12 @@ class LinearisedNetwork:
     Attributes
     ----------
     residuals
-        (n, 2) of the sightings, px.
+        (n, 2) of the observations, px.
     by_camera
         (2 n, k) sparse derivative by the camera unknowns: free interior parameters lens by lens, then six exterior
-        ones a picture.
+        ones an image.
     by_point
-        (n, 2, 3) derivative by the sighted point; zero for coordinates held fixed.
+        (n, 2, 3) derivative by the observed point; zero for coordinates held fixed.
     survey
         (p, 3) surveyed minus current coordinates, 0 where nothing is known.
     survey_weights
@@ -147,7 +147,7 @@ class NormalEquations:
         scaled = self.reduced * np.outer(scale, scale)
         if np.linalg.cond(scaled) > 1e15:
             raise DataError(
-                "the pictures do not determine all unknowns: fix some interior parameters, add pictures (some rolled "
+                "the images do not determine all unknowns: fix some interior parameters, add images (some rolled "
                 "by 90°), control or scale bars"
             )
         inverse: FloatArray = np.linalg.inv(scaled) * np.outer(scale, scale)
@@ -239,7 +239,7 @@ def _constraint_rows(network: Network) -> tuple[sparse.csr_matrix, FloatArray, F
 
 
 def _assemble_blocks(blocks: list[tuple[FloatArray, IntArray, IntArray]], shape: tuple[int, int]) -> sparse.csr_matrix:
-    """Sparse matrix of (n, 2, m) blocks at sightings (n,) and columns (n, m)."""
+    """Sparse matrix of (n, 2, m) blocks at observations (n,) and columns (n, m)."""
     values, rows, columns = [], [], []
     for block, observations, places in blocks:
         values.append(block.ravel())

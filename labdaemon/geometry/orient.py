@@ -1,7 +1,7 @@
 """Exterior orientation of one camera from surveyed control targets: robust, weighted, with its covariance.
 
 Each control target counts by what is known of it: its pixel's standard deviation and its survey's, carried into the
-picture (for one camera this is the same as adjusting the surveyed coordinates as observations). A target that was
+image (for one camera this is the same as adjusting the surveyed coordinates as observations). A target that was
 misread or mis-surveyed is found by its residual against its own standard deviation (Baarda's data snooping, both
 coordinates together), left out and named.
 """

@@ -1,8 +1,8 @@
 """Signed vectors of which the phase hardly shows: their axis from all cameras, then the phase as all of them have it.
 
-Near rest a camera tells a target's amplitude to a few per cent and its phase to half a turn. Signed vectors of two such
-cameras may point anywhere on their circles, and their mean would be too short. So the axis is joined without phase, and
-the phases, each a von Mises distribution, are multiplied.
+Near rest a camera measures a target's amplitude to a few per cent and its phase to half a turn. The signed vectors of
+two such cameras may point anywhere on their circles, and their mean would be too short. The axis is therefore
+intersected without phase, and the phases, each a von Mises distribution, are multiplied.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from labdaemon.geometry.settings import INTERSECTION
 
 
 def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion) -> ObjectMotion:
-    """Give an axis in space the phase that its pictures have.
+    """Give an axis in space the phase that its images have.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion
     Returns
     -------
     ObjectMotion
-        Signed vectors; their covariance is that of all phases by their chances.
+        Signed vectors; their covariance is that of all phases weighted by their probability.
     """
     total = 0.0 + 0.0j
     for camera, motion in zip(cameras, motions, strict=True):
@@ -83,7 +83,7 @@ def _camera_phasor(motion: ImageMotion, along: FloatArray) -> complex:
     phasor = complex(motion.a_px @ along, motion.b_px @ along)
     size = abs(phasor)
     block = motion.covariance_px2[2:, 2:]
-    # |e^iδ − 1|² = 2 (1 − cos δ): the variance on the circle, the amplitude's own being small beside it.
+    # |e^iδ − 1|² = 2 (1 − cos δ): the variance on the circle, compared with which the amplitude's own is small.
     variance = sum(
         float(e @ block @ e) for e in (np.concatenate((along, 0 * along)), np.concatenate((0 * along, along)))
     )

@@ -1,9 +1,9 @@
-"""PhotoModeler's text export: one camera in Brown's backward model, pictures, points and their pixels.
+"""PhotoModeler's text export: one camera in Brown's backward model, images, points and their pixels.
 
 Line by line: title; a header ending in the image size in pixels; default standard deviations; interior orientation
-(c, px, py, format width, format height in mm, K1, K2, K3, P1, P2) and its standard deviations; for each picture its
+(c, px, py, format width, format height in mm, K1, K2, K3, P1, P2) and its standard deviations; for each image its
 number and file, its exterior orientation (position, then kappa, phi, omega in degrees) with standard deviations, and
-the camera again; the control points; the object points; the pixels (picture, point, x, y, sd x, sd y).
+the camera again; the control points; the object points; the pixels (image, point, x, y, sd x, sd y).
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class PhotoModelerProject:
     lens
         The camera.
     files, poses
-        Name and exterior orientation of each picture.
+        Name and exterior orientation of each image.
     point_ids, points, point_sd
         Ids, (p, 3) coordinates and (p, 3) standard deviations of control and object points.
     image, point
-        (n,) index of each pixel's picture and point.
+        (n,) index of each pixel's image and point.
     image_px, sd_px
         (n, 2) pixels, centres at integers, and their standard deviations.
     """

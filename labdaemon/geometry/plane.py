@@ -22,9 +22,9 @@ from labdaemon.geometry.data_snooping import RobustPointAdjustment, exclusion_re
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
-from labdaemon.geometry.orbit import largest_sign, principal_axes
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.settings import ORIENTATION, SNOOPING
+from labdaemon.orbit_axes import largest_sign, principal_axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +156,7 @@ def fit_plane(
     axes = np.column_stack([along, [0.0, 0.0, 1.0]])
     plane_mm = (object_mm - origin) @ axes
     if np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)[1] < 0.02 * np.ptp(plane_mm, axis=0).max():
-        raise DataError(f"control targets {', '.join(names)} all lie in a line: add some beside it")
+        raise DataError(f"control targets {', '.join(names)} all lie in a line: add some off that line")
     centre, scale = plane_mm.mean(axis=0), float(np.abs(plane_mm - plane_mm.mean(axis=0)).max())
     slopes = lens.undistort(image_px)
     if not np.isfinite(slopes).all():
@@ -202,7 +202,7 @@ def fit_plane(
 def compensate_camera_motion(
     plane: Plane, motion: ImageMotion, sharp: OrientedCamera, displaced: Sequence[OrientedCamera]
 ) -> ImageMotion:
-    """Picture that a motion would have had, had the camera not moved since the sharp frame.
+    """Image that a motion would have had, had the camera not moved since the sharp frame.
 
     Parameters
     ----------
@@ -216,11 +216,11 @@ def compensate_camera_motion(
     Returns
     -------
     ImageMotion
-        The mean shifted, a and b turned with the picture.
+        The mean shifted, a and b turned with the image.
     """
     back = motion.mean_px
     turn = np.eye(2)
-    # The first round finds the place, the second how the picture moved there.
+    # The first round finds the place, the second how the image moved there.
     for _ in range(2):
         place = plane.to_object(plane.to_plane(back[None]))
         pixels, by_point, _ = sharp.project_with_jacobians(place)
@@ -252,7 +252,7 @@ def map_motion_to_plane(plane: Plane, motion: ImageMotion) -> ObjectMotion:
     plane
         From `fit_plane`.
     motion
-        The target's picture.
+        The target's image.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Gross errors in a bundle adjustment: found by data snooping, named, and left out one after the other.
 
-Each sighting's residual (both coordinates together) and each control point's survey residual (all three) is tested
-against its own standard deviation after the adjustment (Baarda 1968). The smallest error that a test would find tells
+Each observation's residual (both coordinates together) and each control point's survey residual (all three) is tested
+against its own standard deviation after the adjustment (Baarda 1968). The smallest error that a test would find shows
 how far the geometry checks itself.
 """
 
@@ -28,16 +28,16 @@ class GrossError:
     Attributes
     ----------
     kind
-        ``sighting`` (misread or misidentified in one picture) or ``survey`` (mis-surveyed control).
+        ``observation`` (misread or misidentified in one image) or ``survey`` (mis-surveyed control).
     point, image
-        Name of the point; index of the picture, -1 for a survey.
+        Name of the point; index of the image, -1 for a survey.
     test
         Residual over its standard deviation.
     size
-        Estimated size of the error: px for a sighting, the points' unit for a survey.
+        Estimated size of the error: px for a observation, the points' unit for a survey.
     """
 
-    kind: Literal["sighting", "survey"]
+    kind: Literal["observation", "survey"]
     point: str
     image: int
     test: float
@@ -51,12 +51,12 @@ class ObservationTests:
     Attributes
     ----------
     observations, redundancy
-        (n,) squared normalised residuals (two degrees of freedom), and the share of each sighting that is checked by
+        (n,) squared normalised residuals (two degrees of freedom), and the share of each observation that is checked by
         the others, 0..1.
     survey
         (p,) the same of surveyed points (as many degrees of freedom as coordinates known), 0 where not surveyed.
     detectable_px
-        (n,) smallest error of a sighting that is found with a power of 80 %, px; inf where nothing checks it.
+        (n,) smallest error of a observation that is found with a power of 80 %, px; inf where nothing checks it.
     """
 
     observations: FloatArray
@@ -133,7 +133,7 @@ def find_gross_error(adjustment: Adjustment, names: Sequence[str]) -> GrossError
         np.linalg.norm(adjustment.residuals_px[first]) / max(tests.redundancy[first], SNOOPING.min_redundancy_for_size)
     )
     return GrossError(
-        "sighting",
+        "observation",
         names[network.point[first]],
         int(network.image[first]),
         float(np.sqrt(tests.observations[first])),
@@ -156,7 +156,7 @@ def adjust_without_gross_errors(
     Returns
     -------
     tuple
-        The adjustment, the names of the points left in it (a free point seen by fewer than two pictures goes), and
+        The adjustment, the names of the points left in it (a free point seen by fewer than two images goes), and
         the errors in the order found.
     """
     found: list[GrossError] = []
@@ -186,7 +186,7 @@ def adjust_without_gross_errors(
 def select_observations(
     network: Network, names: Sequence[str], keep: NDArray[np.bool_] | None = None
 ) -> tuple[Network, tuple[str, ...]]:
-    """Network with only the sightings to keep, and only points whose place these or their survey fix.
+    """Network with only the observations to keep, and only points whose place these or their survey fix.
 
     Parameters
     ----------

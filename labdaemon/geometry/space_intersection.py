@@ -1,4 +1,4 @@
-"""Several cameras: from each target's pictures to its motion in space, and how sure that is."""
+"""Several cameras: from each target's images to its motion in space, and how sure that is."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from labdaemon.geometry.continuity import ResolvedNeighbour, resolve_by_neighbou
 from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
 from labdaemon.geometry.motion_adjustment import Candidate
 from labdaemon.geometry.motion_candidates import orbit_candidates, phased_candidate, straight_candidates
-from labdaemon.geometry.orbit import largest_sign, principal_axes
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases
 from labdaemon.geometry.settings import INTERSECTION
+from labdaemon.orbit_axes import largest_sign, principal_axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +138,7 @@ def _unphased_candidates(
 ) -> tuple[list[Candidate], bool]:
     """Solutions without phase, best first, and whether they are straight.
 
-    A path that is straight in every picture within their uncertainty may still be an orbit: where each alone sees
+    A path that is straight in every image within their uncertainty may still be an orbit: where each alone sees
     nothing across its path, the cameras together may contradict each other about its length. Then the orbit is taken
     if it explains them.
     """
@@ -302,7 +302,7 @@ def _neighbours_represent(settled: Sequence[bool]) -> bool:
 
 
 def _principal_motion(motion: ImageMotion) -> ImageMotion:
-    """Picture by its principal axes (cameras with phase joined to ones without lose it)."""
+    """Image by its principal axes (cameras with phase joined to ones without lose it)."""
     if not motion.phased:
         return motion
     if motion.axes is not None:

@@ -18,6 +18,7 @@ from labdaemon.blur import (
     measure_frame,
     measure_group,
 )
+from labdaemon.blur.average import average_measurements
 from labdaemon.blur.fit.refit import failure_flags
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.blur.unsolvable import solved
@@ -27,7 +28,7 @@ from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motio
 from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.lazy_image import LazyImage
 from labdaemon.imaging.raw import read_frame
-from labdaemon.processing.group import holds_phase, is_part, mean_of
+from labdaemon.processing.group import holds_phase, is_part
 from labdaemon.processing.missing import expected_smears
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.search import find_again
@@ -296,7 +297,7 @@ def _measure_together(
     if len(phased) == len(windows):
         return [_measure_phased(target, looks, phased, index) for index, target in enumerate(camera.targets)]
     each = [_measure_one(camera, look, window) for look, window in zip(looks, windows, strict=True)]
-    return [mean_of(measured) for measured in zip(*each, strict=True)]
+    return [average_measurements(measured) for measured in zip(*each, strict=True)]
 
 
 def _measure_phased(

@@ -15,7 +15,7 @@ from labdaemon.blur import NoiseModel, Patch
 
 FloatArray = NDArray[np.float64]
 Path = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-FINE = 7  # sub-pixels a pixel, odd so that a pixel's centre is a sub-pixel's
+FINE = 7  # sub-pixels a pixel, not even, so that a pixel's centre is a sub-pixel's
 
 
 def whole_cycles(ax: float, ay: float, bx: float = 0.0, by: float = 0.0) -> Path:

@@ -48,7 +48,7 @@ def test_timing_uncertainty_is_in_the_covariance(area, sharp):
         measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p, sd) for p in phases], defocus=STILL)
         for sd in (0.0, 0.05)
     )
-    # both openings off alike turn the phase by as much: 4 px · 0.05 rad / sqrt 2 at least
+    # an error that both openings share turns the phase by as much: 4 px · 0.05 rad / sqrt 2 at least
     assert loose.covariance_px2[4, 4] > exact.covariance_px2[4, 4] + (0.6 * 4 * 0.05 / np.sqrt(2)) ** 2
 
 

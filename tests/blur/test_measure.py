@@ -106,13 +106,13 @@ def test_the_airy_pattern_is_no_worse_than_half_again_the_gaussian(area):
     assert rms[1] < max(1.5 * rms[0], 0.012)
 
 
-def test_defocus_is_not_read_as_motion_when_controls_tell_of_it(area):
+def test_defocus_is_not_read_as_motion_when_controls_measure_it(area):
     scene = area.Scene()
     sharp, _ = sharp_of(area, scene)
     patch, _ = blurred_of(area, scene, (0.0, 0.0), extra=0.5)
-    told = measure(sharp, patch, defocus=Defocus(0.25, 0.01))
-    assert Flag.AT_REST in told.flags
-    assert np.hypot(*told.a_px) < 0.35
+    known = measure(sharp, patch, defocus=Defocus(0.25, 0.01))
+    assert Flag.AT_REST in known.flags
+    assert np.hypot(*known.a_px) < 0.35
 
 
 def test_rest_is_said_so_and_keeps_an_estimate_with_its_deviation(area):

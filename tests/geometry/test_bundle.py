@@ -94,7 +94,7 @@ def test_camcal_gives_the_published_exteriors_and_points(camcal: Network, shared
     lines = (shared_data / "camcal/camcal-dbatreport.txt").read_text().splitlines()
     first = next(i for i, line in enumerate(lines) if "Photo 1:" in line)
     values = [float(line.split()[1]) for line in lines[first : first + 19] if "Value" in line]
-    deviations = [float(line.split()[1]) for line in lines[first : first + 19] if "Deviation" in line]
+    deviations = [float(line.split()[1]) for line in lines[first : first + 19] if "Standard deviation" in line]
     np.testing.assert_allclose(result.network.poses[0].position, values[3:], atol=0.6e-6)
     start = result.interior_count
     sd = np.sqrt(np.diag(result.cofactor))[start + 3 : start + 6] * result.sigma0
@@ -202,7 +202,7 @@ def test_free_network_without_scale_keeps_the_starting_scale(look) -> None:
 
 
 def test_interior_parameters_come_back(look, lens: Lens) -> None:
-    """Self-calibration from eight pictures, half of them rolled."""
+    """Self-calibration from eight images, half of them rolled."""
     rng = np.random.default_rng(4)
     places = [(x, y, z) for x in (-600, 500) for y in (-1000, -800) for z in (150, 650)]
     cameras = [look(place, roll=1.57 * (i % 2)) for i, place in enumerate(places)]
@@ -241,7 +241,7 @@ class TestBadInput:
         keep = ~((network.point == 20) & (network.image > 0))
         lonely = replace(network, point=network.point[keep], image=network.image[keep], image_px=network.image_px[keep])
         names = [f"T{i:02d}" for i in range(30)]
-        with pytest.raises(DataError, match=r"fewer than two pictures.*T20"):
+        with pytest.raises(DataError, match=r"fewer than two images.*T20"):
             adjust_network(lonely, names=names)
 
     def test_no_datum(self, look) -> None:
@@ -250,7 +250,7 @@ class TestBadInput:
             adjust_network(network)
 
     def test_unknowns_that_the_pictures_do_not_fix(self, look) -> None:
-        """One picture of a plane cannot tell focal length from distance."""
+        """One image of a plane does not separate focal length and distance."""
         camera = look((0, -1000, 370))
         flat = np.array([[x, 0.0, z] for x in (-200.0, 0.0, 200.0) for z in (200.0, 400.0, 600.0)])
         network = Network(
@@ -265,7 +265,7 @@ class TestBadInput:
             np.zeros(flat.shape),
             free_interior=(np.ones(9, dtype=np.bool_),),
         )
-        with pytest.raises(DataError, match=r"do not determine|more pictures|did not converge"):
+        with pytest.raises(DataError, match=r"do not determine|more images|did not converge"):
             adjust_network(network)
 
 

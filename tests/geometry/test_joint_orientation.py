@@ -56,7 +56,7 @@ def test_cameras_agree_to_the_pixel_and_the_covariance_says_so(look, control_mm,
     assert np.median(misses) < 0.1
 
 
-def test_a_mis_surveyed_target_is_told_from_a_misread_one(look, control_mm, lens) -> None:
+def test_a_mis_surveyed_target_is_distinguished_from_a_misread_one(look, control_mm, lens) -> None:
     rng = np.random.default_rng(3)
     cameras, observations, survey, _ = scene(look, control_mm, rng)
     lenses = dict.fromkeys(cameras, lens)

@@ -74,9 +74,9 @@ def test_worse_pixels_than_stated_widen_the_covariance_and_lose_no_point(look, c
     camera = look((-400, -1000, 380))
     pixels = camera.project(control_mm) + rng.normal(0, 0.3, (8, 2))
     tight = orient(camera.lens, pixels, control_mm, names=NAMES, sd_image_px=0.1)
-    honest = orient(camera.lens, pixels, control_mm, names=NAMES, sd_image_px=0.3)
+    stated = orient(camera.lens, pixels, control_mm, names=NAMES, sd_image_px=0.3)
     assert not tight.excluded
-    ratio = np.sqrt(np.diag(tight.camera.covariance) / np.diag(honest.camera.covariance))
+    ratio = np.sqrt(np.diag(tight.camera.covariance) / np.diag(stated.camera.covariance))
     assert np.all((ratio > 0.6) & (ratio < 1.6))
 
 

@@ -47,7 +47,7 @@ def test_the_amplitude_survives_and_the_deviations_are_true(look, kappa: float) 
 
 
 def test_signs_settle_ends_that_the_rays_leave_open(look) -> None:
-    """All in the epipolar plane: both matches fit alike, but only one agrees with where each camera saw the point."""
+    """All in the epipolar plane: both matches fit equally well, but only one agrees with the phases."""
     rng = np.random.default_rng(3)
     cameras = [look((-500, -1000, 370)), look((500, -1000, 370))]
     for _ in range(10):

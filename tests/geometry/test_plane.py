@@ -87,7 +87,7 @@ def test_the_papers_regression(look) -> None:
 
 
 def test_an_unphased_ellipse_is_reported_by_its_axes(look) -> None:
-    """Seen obliquely the axes of a picture are not the orbit's: they are found again in the plane."""
+    """Seen obliquely the axes of an image are not the orbit's: they are found again in the plane."""
     angle = 0.2
     control, along = board(angle)
     camera = look(np.array([700.0, -700.0, 500.0]))

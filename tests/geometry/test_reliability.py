@@ -38,7 +38,7 @@ def test_a_clean_network_loses_nothing(clean: Network) -> None:
     assert errors == []
     assert names == NAMES
     tests = compute_observation_tests(adjustment)
-    # Redundancies of all observations add up to the degrees of freedom; survey takes what sightings leave.
+    # Redundancies of all observations add up to the degrees of freedom; survey takes what observations leave.
     assert 2 * tests.redundancy.sum() < adjustment.degrees_of_freedom
     assert np.all(tests.detectable_px > 0.2)
 
@@ -47,7 +47,7 @@ def test_a_misread_sighting_is_named(clean: Network) -> None:
     pixels = clean.image_px.copy()
     pixels[24 + 13] += [1.2, -0.9]
     adjustment, _, errors = adjust_without_gross_errors(replace(clean, image_px=pixels), NAMES)
-    assert [(e.kind, e.point, e.image) for e in errors] == [("sighting", "P13", 1)]
+    assert [(e.kind, e.point, e.image) for e in errors] == [("observation", "P13", 1)]
     assert errors[0].size == pytest.approx(1.5, rel=0.4)
     assert adjustment.sigma0 == pytest.approx(1.0, abs=0.25)
 
@@ -67,7 +67,7 @@ def test_several_errors_are_named_one_after_the_other(clean: Network) -> None:
     pixels[48 + 20] += [0.0, 4.0]
     points[2] += [0.0, 5.0, 0.0]
     _, _, errors = adjust_without_gross_errors(replace(clean, image_px=pixels, points=points), NAMES)
-    assert {(e.kind, e.point) for e in errors} == {("sighting", "P04"), ("sighting", "P20"), ("survey", "P02")}
+    assert {(e.kind, e.point) for e in errors} == {("observation", "P04"), ("observation", "P20"), ("survey", "P02")}
 
 
 def test_a_point_left_with_one_ray_goes(clean: Network) -> None:

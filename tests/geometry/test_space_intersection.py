@@ -17,7 +17,7 @@ from labdaemon.geometry import (
 )
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.orbit import principal_axes
+from labdaemon.orbit_axes import principal_axes
 
 TWO = [(-500, -1000, 300), (500, -1000, 500)]
 THREE = [*TWO, (0, -1100, 900)]
@@ -131,7 +131,7 @@ def test_camera_uncertainty_reaches_the_vectors(look) -> None:
 
 
 def test_level_cameras_and_level_motion_are_never_silently_wrong(look) -> None:
-    """All in the epipolar plane: both ways of matching the ends fit alike."""
+    """All in the epipolar plane: both ways of matching the ends fit equally well."""
     rng = np.random.default_rng(7)
     cameras = make_cameras(look, LEVEL)
     wrong = 0
@@ -169,7 +169,7 @@ def test_phase_settles_it(look) -> None:
 
 
 def test_signed_vectors_that_contradict_each_other_are_flagged(look) -> None:
-    """One camera took the mirrored orbit: three numbers too many tell, but not which camera."""
+    """One camera took the mirrored orbit: the redundancy shows it, but not which camera."""
     rng = np.random.default_rng(7)
     cameras = make_cameras(look, TWO)
     mean, a, b = np.array([20.0, 10.0, 250.0]), np.array([-3.0, 1.0, 0.4]), np.array([0.4, 0.8, 1.2])
@@ -181,7 +181,7 @@ def test_signed_vectors_that_contradict_each_other_are_flagged(look) -> None:
     assert joined.resolved_by == ""
 
 
-def test_continuity_along_a_member_settles_what_neighbours_tell(look) -> None:
+def test_continuity_along_a_member_resolves_a_match(look) -> None:
     """A column swaying in X: at the cameras' height the match is open, above and below it is not."""
     rng = np.random.default_rng(1)
     cameras = dict(zip("lr", make_cameras(look, LEVEL), strict=True))
@@ -277,7 +277,7 @@ def test_parallel_rays_are_refused(look) -> None:
 
 
 def swaying_frame(look, rng, *, vectors) -> tuple[dict, dict]:
-    """Two columns seen by cameras of almost one height; some targets' motion lies in the epipolar plane by chance."""
+    """Two columns seen by cameras of almost one height; the motion of some targets lies in the epipolar plane."""
     cameras = {"l": look((-450, -900, 419), at=(0, 0, 360)), "r": look((480, -900, 330), at=(0, 0, 360))}
     true, images = {}, {}
     for level in range(6):
@@ -285,7 +285,7 @@ def swaying_frame(look, rng, *, vectors) -> tuple[dict, dict]:
             name, mean = f"{level}{'l' if x < 0 else 'r'}", np.array([x, 0.0, 140 + 80.0 * level])
             true[name] = vectors(rng, level, x)
             images[name] = {c: image(v, mean, true[name], 0 * mean, rng, sd=0.007) for c, v in cameras.items()}
-    return true, {"views": cameras, "pictures": images}
+    return true, {"views": cameras, "images": images}
 
 
 def test_motion_like_the_others_settles_a_chance_ambiguity(look) -> None:
@@ -296,7 +296,7 @@ def test_motion_like_the_others_settles_a_chance_ambiguity(look) -> None:
         true, seen = swaying_frame(
             look, rng, vectors=lambda r, level, x: np.array([r.uniform(0.8, 3.4), r.normal(0, 0.8), r.normal(0, 0.13)])
         )
-        result = intersect_targets(seen["views"], seen["pictures"])
+        result = intersect_targets(seen["views"], seen["images"])
         for name, a in true.items():
             motion = result.motions[name]
             total += 1
@@ -331,7 +331,7 @@ def test_a_column_that_is_open_as_a_whole_is_not_settled_by_another(look) -> Non
 
 
 def blur_measurement(camera, mean, a, b, rng, sd_moment: float = 0.02, sd_px: float = 0.012) -> ImageMotion:
-    """What a fit by second moments reports: no minor axis where its square is within three deviations of nothing."""
+    """What a fit by second moments reports: no minor axis below three standard deviations."""
     numbers = project_motion(camera.project_with_jacobians, np.stack([mean, a, b]))[0]
     major, minor, _ = principal_axes(numbers[2:4], numbers[4:], np.zeros((4, 4)))
     along = major / np.linalg.norm(major)
@@ -348,7 +348,7 @@ def blur_measurement(camera, mean, a, b, rng, sd_moment: float = 0.02, sd_px: fl
 
 @pytest.mark.parametrize("seed", range(3))
 def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> None:
-    """Short orbits whose minor axis no picture shows for sure: nothing wrong without a flag, b within its deviation."""
+    """Short orbits whose minor axis no image shows for sure: nothing wrong without a flag, b within its sd."""
     rng = np.random.default_rng(seed)
     cameras = [look(place, lens=Lens((1936, 1296), (1968.8, 1968.8), (970.0, 650.0))) for place in THREE]
     off, minor_pulls = [], []
@@ -371,7 +371,7 @@ def test_orbits_too_small_for_one_camera_are_found_by_three(look, seed: int) -> 
 
 
 def test_a_minor_axis_of_zero_says_how_large_it_may_be(look) -> None:
-    """Straight to the pictures: b is 0, and its deviation is what they leave open, not what their covariance lacks."""
+    """Straight to the images: b is 0, and its sd is what the images leave open."""
     rng = np.random.default_rng(2)
     cameras = make_cameras(look, THREE)
     mean, a = np.array([20.0, 10.0, 370.0]), np.array([3.0, 0.5, 0.3])

@@ -24,11 +24,13 @@ from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.settings import OCCLUSION
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
 from labdaemon.blur.sharp.weights import nuisance_prior, pixel_weights
-from labdaemon.blur.smear.forward_model import FitProblem, forward_model, rest_spectra
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fit_problem import FitProblem, rest_spectra
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.spectra import closed_form
 from labdaemon.flags import Flag
+from labdaemon.least_squares import biweight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +93,16 @@ def fit_occluded(
         return None
     planes = problem.planes
     best = _fit_consensus(sharp, problem, candidate_centres_px, blur)
-    evidence = _compare(sharp, planes, best.light, forward_model(problem, closed_form.straight_transfer)(best.p)[0])
+    evidence = _compare(
+        sharp, planes, best.light, fast_forward_model(problem, closed_form.straight_transfer)(best.p)[0]
+    )
     if not _shows_occluder(evidence):
         return None
     if np.isfinite(found.centre_px).all():
         parameters = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(problem.shape_count)))
-        whole_patch = _compare(sharp, planes, best.light, forward_model(problem, fixed_transfer(found))(parameters)[0])
+        whole_patch = _compare(
+            sharp, planes, best.light, fast_forward_model(problem, fixed_transfer(found))(parameters)[0]
+        )
         # A fit that did not converge to the target is no evidence.
         if abs(
             float(whole_patch.model.sum()) / float(evidence.model.sum()) - 1
@@ -140,7 +146,7 @@ def _fit_consensus(
     """The straight motion that most pixels agree with."""
     planes = problem.planes
     k = problem.shape_count
-    model, base = forward_model(problem, closed_form.straight_transfer), pixel_weights(sharp, planes)
+    model, base = fast_forward_model(problem, closed_form.straight_transfer), pixel_weights(sharp, planes)
     light = _paper_illumination(sharp, planes)
 
     def disagreement(p: FloatArray, light: FloatArray, sigmas: float) -> float:
@@ -215,12 +221,15 @@ def _trial_offsets(size: float) -> list[FloatArray]:
 def _biweight(
     planes: ColourPlanes, base: Callable[[FloatArray], FloatArray], sigmas: float
 ) -> Callable[[FloatArray], FloatArray]:
-    """Weights that let go of pixels that disagree by more than some standard deviations."""
+    """Tukey's biweight: weights (1 − u²)² that vanish for residuals beyond `sigmas` standard deviations.
+
+    Beaton and Tukey 1974, doi:10.1080/00401706.1974.10489171.
+    """
 
     def weights(signal: FloatArray) -> FloatArray:
         weight = base(np.maximum(signal, 0))
         squared = weight * (planes.values - signal) ** 2 / sigmas**2
-        return np.asarray(weight * np.maximum(1 - squared, 0.0) ** 2)
+        return np.asarray(weight * biweight(squared))
 
     return weights
 

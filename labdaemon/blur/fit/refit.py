@@ -16,9 +16,11 @@ from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.settings import REFIT
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import pixel_weights
-from labdaemon.blur.smear.forward_model import FitProblem, forward_model
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.spectra import closed_form
 from labdaemon.flags import Flag
+from labdaemon.orbit_axes import second_moment
 
 
 def failure_flags(sharp: SharpTarget, patch: Patch, expected_px: FloatArray) -> set[Flag]:
@@ -88,7 +90,7 @@ def _modelled_image(
     """Modelled darkness under the motion that was found, weights, and the illumination fitted to the whole patch."""
     planes = problem.planes
     parameters = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(problem.shape_count)))
-    dark, _ = forward_model(problem, fixed_transfer(found))(parameters)
+    dark, _ = fast_forward_model(problem, fixed_transfer(found))(parameters)
     weight = pixel_weights(sharp, planes)(np.maximum(planes.values, 0))
     return dark, weight, solve_illumination(planes, weight, dark)
 
@@ -107,7 +109,7 @@ def _is_point_symmetric(region: BoolArray, residual: FloatArray, centre: FloatAr
 def fixed_transfer(found: Measurement) -> Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
     """Transfer function of the motion that was found, without parameters."""
     a, b = np.nan_to_num(found.a_px), np.nan_to_num(found.b_px)
-    moment = np.array([a[0] ** 2 + b[0] ** 2, a[0] * a[1] + b[0] * b[1], a[1] ** 2 + b[1] ** 2])
+    moment = second_moment(a, b)
 
     def motion(fx: FloatArray, fy: FloatArray, _: FloatArray) -> tuple[FloatArray, FloatArray]:
         return closed_form.orbit_transfer(fx, fy, moment)[0], np.zeros((0, *fx.shape))

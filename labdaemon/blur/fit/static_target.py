@@ -12,7 +12,8 @@ from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.settings import STATIC_TARGET
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import nuisance_prior, pixel_weights
-from labdaemon.blur.smear.forward_model import FitProblem, forward_model, prepare_fit
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
 from labdaemon.blur.smear.template_noise import correct_template_noise_bias
 from labdaemon.blur.smear.uncertainty import robust_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
@@ -64,7 +65,7 @@ def measure_static(sharp: SharpTarget, patch: Patch, *, initial_guess: InitialGu
         return p
 
     model, weights, prior = (
-        forward_model(problem, None),
+        fast_forward_model(problem, None),
         pixel_weights(sharp, problem.planes),
         nuisance_prior(sharp, UNKNOWN_DEFOCUS, 0),
     )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from labdaemon.blur.axes import moment_matrix, orient_positive
 from labdaemon.blur.motion import Defocus, Measurement
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import noise_scale, nuisance_prior, pixel_weights
-from labdaemon.blur.smear.forward_model import FitProblem, forward_model
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.initial_parameters import initial_parameters
 from labdaemon.blur.smear.uncertainty import quality_flags, robust_covariance
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import MotionWaveform, quadrature_transfer
 from labdaemon.flags import Flag
+from labdaemon.orbit_axes import moment_matrix, orient_positive
 
 
 def measure_waveform(sharp: SharpTarget, problem: FitProblem, blur: Defocus, waveform: MotionWaveform) -> Measurement:
@@ -26,7 +27,7 @@ def measure_waveform(sharp: SharpTarget, problem: FitProblem, blur: Defocus, wav
         return quadrature_transfer(fx, fy, vector, waveform.displacement[None], waveform.weight)
 
     spread = float(waveform.weight @ waveform.displacement**2)
-    model, weights = forward_model(problem, motion), pixel_weights(sharp, problem.planes)
+    model, weights = fast_forward_model(problem, motion), pixel_weights(sharp, problem.planes)
     prior = nuisance_prior(sharp, blur, 2)
     solutions = []
     for start in initial_parameters(sharp, problem, blur, k):

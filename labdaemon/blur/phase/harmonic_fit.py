@@ -15,11 +15,10 @@ from labdaemon.blur.settings import PHASE, UNCERTAINTY
 from labdaemon.blur.smear.frame_set import (
     FRAME_PARAMETERS,
     FrameSet,
-    timing_covariance,
     window_in_phase_transfer,
     window_orbit_transfer,
 )
-from labdaemon.blur.smear.uncertainty import robust_covariance
+from labdaemon.blur.smear.uncertainty import windowed_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 
 
@@ -89,8 +88,7 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
     unsure = float(np.hypot(minor.sd_square_px2, one_sided))
     if orbit and minor.square_px2 > UNCERTAINTY.rest_sds * unsure:
         best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
-        covariance = robust_covariance(frame_set.sharp, best, frame_set.planes)
-        covariance = covariance + timing_covariance(best, frame_set, window_orbit_transfer)
+        covariance = windowed_covariance(best, frame_set, window_orbit_transfer)
         selector = _motion_selector(frame_set, len(best.p), 4)
         value, covariance = selector @ best.p, selector @ covariance @ selector.T
         held = condition_on_phase(value, covariance)
@@ -109,8 +107,7 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
         steady = HarmonicFit(value, covariance, size, sd, best, profile, None, held, 0.0, phase_unresolved, ambiguous)
         return replace(steady, anisotropy_px2=one_sided)
     best = profile.best
-    covariance = robust_covariance(frame_set.sharp, best, frame_set.planes)
-    covariance = covariance + timing_covariance(best, frame_set, window_in_phase_transfer)
+    covariance = windowed_covariance(best, frame_set, window_in_phase_transfer)
     selector = _motion_selector(frame_set, len(best.p), 3)
     linear = selector @ covariance @ selector.T
     in_phase = marginalise_phase(profile, selector @ best.p, linear)

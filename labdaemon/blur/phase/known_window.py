@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from labdaemon.blur.axes import axes_from_vectors, orient_positive
 from labdaemon.blur.motion import Defocus, ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.harmonic_fit import HarmonicFit, fit_harmonic
 from labdaemon.blur.phase.orbits import perpendicular
 from labdaemon.blur.phase.posterior import InPhaseMotion
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.smear.forward_model import FitProblem
+from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
 from labdaemon.blur.smear.uncertainty import quality_flags
 from labdaemon.flags import Flag
+from labdaemon.orbit_axes import orient_positive, principal_axes
 
 
 def measure_known_window(
@@ -51,7 +51,8 @@ def drop_phase(sharp: SharpTarget, found: HarmonicFit) -> Measurement:
     """What was found, by its axes, without its phase."""
     best, in_phase = found.solution, found.in_phase
     if in_phase is None:
-        centre, a, b, cov = axes_from_vectors(found.value, found.fixed_phase_covariance)
+        centre = found.value[:2]
+        a, b, cov = principal_axes(found.value[2:4], found.value[4:], found.fixed_phase_covariance)
     else:
         centre, a, b, cov = _straight_axes(in_phase, found.minor_axis_variance_px2)
     flags = quality_flags(sharp, best, a, b)

@@ -15,7 +15,7 @@ from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.phase.orbits import perpendicular, vectors_from_axes
 from labdaemon.blur.settings import PHASE
-from labdaemon.blur.smear.forward_model import TransferFunction
+from labdaemon.blur.smear.fit_problem import TransferFunction
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve

@@ -12,7 +12,7 @@ from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.phase.time_reversal import time_reversed_solutions
 from labdaemon.blur.settings import PHASE
-from labdaemon.blur.smear.forward_model import TransferFunction
+from labdaemon.blur.smear.fit_problem import TransferFunction
 from labdaemon.blur.smear.frame_set import FrameSet, window_orbit_transfer
 from labdaemon.blur.smear.uncertainty import robust_covariance
 from labdaemon.blur.solver.reduced_equations import Solution

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labdaemon.blur.axes import orient_positive
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, match_guesses
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.phase.harmonic_fit import smear_moment
@@ -26,9 +25,10 @@ from labdaemon.blur.phase.time_reversal import mid_exposure_phase, wrap_angle
 from labdaemon.blur.settings import SIGNS, UNCERTAINTY
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
-from labdaemon.blur.smear.forward_model import prepare_fit
+from labdaemon.blur.smear.fit_problem import prepare_fit
 from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.unsolvable import solved
+from labdaemon.orbit_axes import orient_positive
 
 PHASE_SPREADS_RAD = np.radians(SIGNS.phase_spreads_deg)
 """How far from the common phase the targets of a nearly in-phase motion may be: standard deviations to choose from."""

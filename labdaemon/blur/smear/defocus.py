@@ -13,6 +13,7 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
+from labdaemon.least_squares import huber_weight
 
 
 def default_defocus(sharp: SharpTarget) -> Defocus:
@@ -62,13 +63,16 @@ def estimate_target_defocus(measurements: Sequence[Measurement]) -> Defocus | No
 
 
 def _robust_mean(value: FloatArray, variance: FloatArray) -> tuple[float, float, float]:
-    """Weighted mean with far values pulled in (Huber), its standard deviation, and the scatter (1.48 MAD)."""
+    """Weighted mean with Huber's weights, its standard deviation, and the scatter (1.48 MAD).
+
+    Huber 1964, doi:10.1214/aoms/1177703732. The scale is that of the deviations themselves, 1 at least.
+    """
     mean = float(np.median(value))
     weight = 1 / variance
     for _ in range(10):
         pull = np.abs(value - mean) / np.sqrt(variance)
         spread = max(1.0, 1.48 * float(np.median(pull)))
-        weight = np.minimum(1.0, 2.0 * spread / np.maximum(pull, 1e-12)) / variance
+        weight = huber_weight(pull, 2.0 * spread) / variance
         mean = float(np.sum(weight * value) / np.sum(weight))
     formal = 1 / float(np.sum(1 / variance))
     scatter = float(np.sum(weight**2 * (value - mean) ** 2) / np.sum(weight) ** 2)

@@ -1,243 +1,104 @@
-"""The modelled image of a smeared target in a patch."""
+"""Equation (1): the modelled image of a target that moves while the shutter is open.
+
+A blurred image Y is the sharp image F, spread along the target's path, plus noise N (McCarthy, Chandler and Palmeri
+2016, equation 1):
+
+    Y = H * F + N.
+
+H is the dwell density: the share of the exposure that the target spends at each displacement. In the frequency domain
+the convolution is a product, and every factor has a closed form (f in cycles a pixel, ``spectra.closed_form``):
+
+===================  ==========================================================================================
+factor               transform
+===================  ==========================================================================================
+F, a tilted disc     det Q · J1(2πρ)/ρ, ρ = |Q f|; times lens, pixel and template residual (``sharp.target``)
+position c           exp(−2πi f·c)
+defocus σ²           exp(−2π² σ² |f|²)
+H, whole cycles      J0(2π f·a), the transform of the arcsine law; J0(2π √(fᵀMf)) for an orbit, M = aaᵀ + bbᵀ
+H, a window          1/T ∫ exp(−2πi f·d(t)) dt, d(t) = a sin ωt + b cos ωt, by quadrature (``waveform``)
+H, a light code      the same integral, weighted by the lamp's brightness at t
+===================  ==========================================================================================
+
+A point that moves as a·sin ωt over whole cycles dwells at s with the density 1/(π √(a² − s²)), |s| < a: the arcsine
+law. Its transform J0 is the whole difference between the blurred and the sharp image.
+
+The image is then that darkness under an illumination: a pixel of colour c is L_c(x)·(1 − k_c·m(x)), with a plane of
+light L_c and a contrast k_c (``patch.illumination``). Both are linear; the solver eliminates them.
+
+`forward_model` is this equation and nothing else. The fits use `labdaemon.blur.smear.fast_forward_model`, which has the
+same signature and agrees with it to single precision.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdaemon.blur.patch.colour_planes import ColourPlanes, FrequencyGrid, make_grid, make_planes, sample_plane
-from labdaemon.blur.patch.locate import Blob, find_blob, mask_pixels
-from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, Patch
-from labdaemon.blur.settings import CACHE
-from labdaemon.blur.sharp.target import EllipseShape, SharpTarget, TargetShape
-from labdaemon.blur.sharp.template_residual import trusted_pixels
-from labdaemon.blur.sharp.textured_patch import TexturedPatch
+from labdaemon.blur.patch.colour_planes import sample_plane
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
-from labdaemon.blur.spectra.render import sample_planes, to_single
-
-TransferFunction = Callable[
-    [FloatArray, FloatArray, FloatArray], tuple[FloatArray | ComplexArray, FloatArray | ComplexArray]
-]
-"""From fx, fy and motion parameters to the transfer function and its derivatives (m, rows, columns)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestSpectra:
-    """Spectra of a target at rest on a grid, single precision.
-
-    Attributes
-    ----------
-    spectra
-        (n, rows, columns) as each colour plane sees it, from its own first pixel.
-    common
-        (rows, columns) the mean of all channels, from the patch's first pixel.
-    by_shape
-        (k, rows, columns) its derivatives by the shape parameters.
-    """
-
-    spectra: NDArray[np.complex64]
-    common: NDArray[np.complex64]
-    by_shape: NDArray[np.complex64]
-
-    @property
-    def fixed_shape(self) -> RestSpectra:
-        """The same with its shape taken for known."""
-        return replace(self, by_shape=self.by_shape[:0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FitProblem:
-    """What a fit needs in addition to its parameters.
-
-    Attributes
-    ----------
-    planes, grid
-        The patch, cropped and masked, and its frequencies.
-    rest_spectra
-        Spectra of the target at rest on that grid.
-    initial_centre_px
-        (2,) where to begin, frame coordinates.
-    blob
-        The smear as first seen; None for a texture.
-    """
-
-    planes: ColourPlanes
-    grid: FrequencyGrid
-    rest_spectra: RestSpectra
-    initial_centre_px: FloatArray
-    blob: Blob | None
-
-    @property
-    def shape_count(self) -> int:
-        """Number of the shape parameters."""
-        return len(self.rest_spectra.by_shape)
-
-
-def prepare_fit(
-    sharp: SharpTarget,
-    patch: Patch,
-    expected_px: FloatArray,
-    known: tuple[FloatArray, FloatArray, FloatArray] | None = None,
-) -> FitProblem | None:
-    """Find the smear in the patch, crop to it, and evaluate the target's spectra; None if there is none.
+def dwell_density(displacement_px: FloatArray, amplitude_px: float) -> FloatArray:
+    """Density of the displacement of a sinusoid over whole cycles: the arcsine law 1/(π √(a² − s²)), px⁻¹.
 
     Parameters
     ----------
-    known
-        Mean position, a and b where a first fit has found them: the mask of trusted paper depends on them.
+    displacement_px
+        (n,) s.
+    amplitude_px
+        a; beyond it the density is 0.
     """
-    if min(patch.shape) < 5:
-        return None
-    if isinstance(sharp.form, TexturedPatch):
-        return _prepare_texture(sharp, sharp.form, patch, expected_px)
-    half_w, half_h = sharp.form.half_size_px
-    area = np.pi * half_w * half_h
-    template_residual = sharp.form.template_residual if isinstance(sharp.form, EllipseShape) else None
-    rough = template_residual is not None and template_residual.is_strong
-    blob = find_blob(patch, expected_px, area, sharp.contrast, threshold=0.45 if rough else None)
-    if blob is None or blob.area_px2 > 2.5 * area:
-        return None
-    reach_px = 6 + int(0.15 * half_w) + (int(half_w) if rough else 0)
-    left, top, right, bottom = blob.box_px
-    shown = patch if rough else mask_pixels(patch, blob.other_blobs)
-    cut = shown.crop(left - reach_px, top - reach_px, right - left + 1 + 2 * reach_px, bottom - top + 1 + 2 * reach_px)
-    if template_residual is not None and template_residual.needs_mask:
-        place, a, b = (blob.centre_px, *_rough_axes(blob, sharp)) if known is None else known
-        cut = mask_pixels(cut, ~trusted_pixels(template_residual, cut, place, a, b, half_w))
-    planes = make_planes(cut)
-    height, width = cut.shape
-    margin = sharp.form.psf_margin_px
-    grid = make_grid((height + margin, width + margin), sharp.form.oversampling)
-    return FitProblem(planes, grid, rest_spectra(sharp.form, grid, planes), blob.centre_px, blob)
+    inside = np.abs(displacement_px) < amplitude_px
+    root = np.sqrt(np.where(inside, amplitude_px**2 - displacement_px**2, 1.0))
+    return np.where(inside, 1 / (np.pi * root), 0.0)
 
 
-def rest_spectra(form: TargetShape, grid: FrequencyGrid, planes: ColourPlanes) -> RestSpectra:
-    """A target's spectra at rest on a patch's grid; kept for dots."""
-    channel = tuple(planes.channel.tolist())
-    if isinstance(form, EllipseShape) and form.template_residual is None and grid.fx.size <= CACHE.max_frequencies:
-        return _cached_rest_spectra(_DotKey.from_shape(form), grid.size, grid.oversampling, channel, planes.period)
-    return _compute_rest_spectra(form, grid, channel, planes.period)
+def forward_model(problem: FitProblem, transfer_function: TransferFunction | None) -> DarknessModel:
+    """Darkness H * F of a moving target at each colour plane's pixels, and its derivatives.
 
+    Parameters
+    ----------
+    problem
+        The patch and the target's spectra F.
+    transfer_function
+        H of the motion, from its own parameters; None for rest.
 
-def _compute_rest_spectra(form: TargetShape, grid: FrequencyGrid, channel: tuple[int, ...], period: int) -> RestSpectra:
-    spectra, by_shape = form.spectra(grid, np.array(channel))
-    offsets = [(index % period, index // period) for index in range(len(channel))]
-    first = [np.exp(2j * np.pi * (ox * grid.fx + oy * grid.fy)) for ox, oy in offsets]
-    return RestSpectra(to_single(spectra * first), to_single(spectra.mean(axis=0)), to_single(by_shape.mean(axis=1)))
-
-
-@dataclass(frozen=True, slots=True)
-class _DotKey:
-    """A dot that is known by its numbers, since every task of a worker brings its own copy of it."""
-
-    numbers: tuple[bytes, ...]
-    form: EllipseShape = field(compare=False)
-
-    @classmethod
-    def from_shape(cls, form: EllipseShape) -> _DotKey:
-        lens = form.lens
-        arrays = (form.q_px, lens.channel, lens.variance_px2, lens.width_px, lens.offset_px)
-        return cls(tuple(array.tobytes() for array in arrays), form)
-
-
-@lru_cache(maxsize=CACHE.max_dots)
-def _cached_rest_spectra(
-    dot: _DotKey, size: tuple[int, int], oversampling: int, channel: tuple[int, ...], period: int
-) -> RestSpectra:
-    return _compute_rest_spectra(dot.form, make_grid(size, oversampling), channel, period)
-
-
-def _rough_axes(blob: Blob, sharp: SharpTarget) -> tuple[FloatArray, FloatArray]:
-    """Axes of the motion by the smear's second moment."""
-    values, vectors = np.linalg.eigh(2 * (blob.moment_px2 - sharp.form.moment_px2))
-    sizes = np.sqrt(np.maximum(values, 0.25))
-    return vectors[:, 1] * sizes[1], vectors[:, 0] * sizes[0]
-
-
-def _prepare_texture(
-    sharp: SharpTarget, form: TexturedPatch, patch: Patch, expected_px: FloatArray
-) -> FitProblem | None:
-    width, height = form.box_size_px
-    left, top = (int(np.rint(v)) for v in expected_px - (np.array([width, height]) - 1) / 2)
-    cut = patch.crop(left, top, width, height)
-    if cut.shape[0] < 0.5 * height or cut.shape[1] < 0.5 * width or np.count_nonzero(cut.valid) < 0.3 * width * height:
-        return None
-    planes = make_planes(mask_pixels(cut, ~np.isin(cut.channel, form.channel)))
-    grid = make_grid((form.dark.shape[1] + 4, form.dark.shape[2] + 4))
-    return FitProblem(planes, grid, rest_spectra(form, grid, planes), np.asarray(expected_px, dtype=np.float64), None)
-
-
-def forward_model(problem: FitProblem, motion: TransferFunction | None, *, exact: bool = False) -> DarknessModel:
-    """Darkness of a moving target.
-
-    Parameters are x, y, extra variance, the shape parameters' standard deviations, then the motion's own. `motion` None
-    is rest.
-
-    The darkness is each channel's own. Its derivatives are those of the channels' mean unless `exact`: that halves the
-    work and biases nothing; a hundredth of the precision is lost, channels differing by parts of a pixel of blur.
+    Returns
+    -------
+    DarknessModel
+        From the parameters x, y (px), defocus (px²), the k deviations of the shape, then those of the motion.
     """
-    grid, planes, rest_spectra = problem.grid, problem.planes, problem.rest_spectra
-    k = problem.shape_count
+    grid, planes, rest, k = problem.grid, problem.planes, problem.rest_spectra, problem.shape_count
+    fx, fy = grid.fx, grid.fy
     _, height, width = planes.values.shape
-    axes = _frequency_axes(grid)
-    origin = np.asarray(planes.origin_px)
+    transfer = transfer_function or _rest_transfer
+
+    def sample(spectra: Any) -> FloatArray:
+        return sample_plane(spectra, grid, planes.period)[..., :height, :width]
 
     def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = p[:2] - origin
-        still = axes.place_target(float(x), float(y), float(p[2]))
-        transfer, slopes = motion(axes.fx, axes.fy, p[3 + k :]) if motion is not None else _rest_transfer(axes.fx)
-        moving = still * to_single(transfer)
-        dark = sample_plane(rest_spectra.spectra * moving, grid, planes.period)[:, :height, :width]
-        own = np.empty((3 + k + len(slopes), *still.shape), dtype=np.complex64)
-        np.multiply(rest_spectra.by_shape, moving, out=own[3 : 3 + k])
-        if exact:
-            np.multiply(axes.by_nuisance, moving, out=own[:3])
-            np.multiply(to_single(slopes), still, out=own[3 + k :])
-            each = np.concatenate((own[:3], own[3 + k :]))[:, None] * rest_spectra.spectra
-            by_own = sample_plane(each, grid, planes.period)[..., :height, :width]
-            by_p = np.concatenate((by_own[:3], sample_planes(own[3 : 3 + k], grid, planes), by_own[3:]))
-        else:
-            np.multiply(axes.by_nuisance, rest_spectra.common * moving, out=own[:3])
-            np.multiply(to_single(slopes), rest_spectra.common * still, out=own[3 + k :])
-            by_p = sample_planes(own, grid, planes)
-        if np.any(p[3 : 3 + k]):
-            dark = dark + np.tensordot(to_single(p[3 : 3 + k]), by_p[3 : 3 + k], axes=1)
-        return dark, by_p
+        x, y = p[:2] - np.asarray(planes.origin_px)
+        position = np.exp(-2j * np.pi * (fx * x + fy * y))
+        defocus = closed_form.gaussian_transfer(fx**2 + fy**2, float(p[2]))
+        motion, by_motion = transfer(fx, fy, p[3 + k :])
+        blur = motion * defocus * position  # H, with the target's position
+        by_nuisance = np.stack((-2j * np.pi * fx, -2j * np.pi * fy, -2 * np.pi**2 * (fx**2 + fy**2))) * blur
+        by_own = np.concatenate((by_nuisance, by_motion * defocus * position))
+        derivatives = sample(by_own[:, None] * rest.spectra)
+        by_shape = sample((rest.by_shape * blur)[:, None] * plane_offsets)
+        darkness = sample(rest.spectra * blur) + np.tensordot(p[3 : 3 + k], by_shape, axes=1)
+        return darkness, np.concatenate((derivatives[:3], by_shape, derivatives[3:]))
 
+    # The shape's derivatives are those of the mean colour, seen from each plane's first pixel.
+    offsets = planes.offset_px[:, :, None, None]
+    plane_offsets = np.exp(2j * np.pi * (offsets[:, 0] * fx + offsets[:, 1] * fy))
     return model
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _FrequencyAxes:
-    """A grid's frequencies in single precision, and what follows from them."""
-
-    fx: FloatArray
-    fy: FloatArray
-    by_nuisance: NDArray[np.complex64]
-
-    def place_target(self, x: float, y: float, variance_px2: float) -> NDArray[np.complex64]:
-        """(rows, columns) factors that move a target's centre to a place in the patch and blur it."""
-        along_x, along_y = self.fx[:1].astype(np.float64), self.fy[:, :1].astype(np.float64)
-        fade_x, fade_y = (
-            closed_form.gaussian_transfer(along_x**2, variance_px2),
-            closed_form.gaussian_transfer(along_y**2, variance_px2),
-        )
-        result: NDArray[np.complex64] = to_single(np.exp(-2j * np.pi * x * along_x) * fade_x) * to_single(
-            np.exp(-2j * np.pi * y * along_y) * fade_y
-        )
-        return result
-
-
-@lru_cache(maxsize=64)
-def _frequency_axes(grid: FrequencyGrid) -> _FrequencyAxes:
-    by_nuisance = np.stack((-2j * np.pi * grid.fx, -2j * np.pi * grid.fy, -2 * np.pi**2 * (grid.fx**2 + grid.fy**2)))
-    return _FrequencyAxes(to_single(grid.fx), to_single(grid.fy), to_single(by_nuisance))
-
-
-def _rest_transfer(fx: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return np.ones_like(fx), np.zeros((0, *fx.shape), dtype=fx.dtype)
+def _rest_transfer(fx: FloatArray, fy: FloatArray, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """H of rest: 1 everywhere, without a parameter."""
+    return np.ones(fx.shape), np.zeros((0, *fx.shape))

@@ -14,12 +14,12 @@ import numpy as np
 
 from labdaemon.blur.motion import Defocus, ExposureWindow
 from labdaemon.blur.patch.colour_planes import ColourPlanes
-from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import pixel_weights, shape_precision
-from labdaemon.blur.smear.forward_model import FitProblem, TransferFunction, forward_model
-from labdaemon.blur.solver.reduced_equations import Prior, Solution
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
+from labdaemon.blur.solver.reduced_equations import Prior
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.waveform import in_phase_transfer, quadrature_transfer, window_nodes
 
@@ -109,7 +109,7 @@ class FrameSet:
         count, lattices = len(self.problems), len(self.problems[0].planes.channel)
         shape = self.planes.values.shape
         models = [
-            forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)))
+            fast_forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)))
             for problem, window in zip(self.problems, self.windows, strict=True)
         ]
 
@@ -190,26 +190,3 @@ def stack_planes(parts: list[ColourPlanes]) -> ColourPlanes:
     return ColourPlanes(
         np.concatenate(values), np.concatenate(valid), channel, np.concatenate(offsets), parts[0].period, origin
     )
-
-
-def timing_covariance(best: Solution, frame_set: FrameSet, transfer_factory: TransferFactory) -> FloatArray:
-    """Covariance that the windows' phase and length uncertainties add, by finite differences of the model."""
-    size = len(best.p)
-    total = np.zeros((size, size))
-    windows = frame_set.windows
-    if all(window.sd_phase_rad <= 0 and window.sd_exposure_s <= 0 for window in windows):
-        return total
-    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[frame_set.first_motion :]))
-    base, _ = frame_set.forward_model(transfer_factory, reach)(best.p)
-    level = paper_level(frame_set.planes, best.light) * best.light[:, 3, None, None]
-    for index, window in enumerate(windows):
-        later = replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad)
-        longer = replace(window, exposure_s=window.exposure_s + window.sd_exposure_s)
-        for other, sd in ((later, window.sd_phase_rad), (longer, window.sd_exposure_s)):
-            if sd <= 0:
-                continue
-            changed = replace(frame_set, windows=[*windows[:index], other, *windows[index + 1 :]])
-            moved, _ = changed.forward_model(transfer_factory, reach)(best.p)
-            shift = np.einsum("knhw,nhw->k", best.influence, -level * (moved - base))
-            total += np.outer(shift, shift)
-    return total

@@ -34,11 +34,12 @@ from labdaemon.blur.patch.pixels import FloatArray, NoiseModel
 from labdaemon.blur.settings import GLS
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.texture_map import half_plane_frequencies, texture_power, unmapped_power
-from labdaemon.blur.smear.forward_model import FitProblem
-from labdaemon.blur.solver.reduced_equations import Prior, Solution, invert_scaled
+from labdaemon.blur.smear.fit_problem import FitProblem
+from labdaemon.blur.solver.reduced_equations import Prior, Solution
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.spectra.render import to_single
+from labdaemon.least_squares import scaled_inverse
 
 
 def gls_refine(
@@ -101,7 +102,7 @@ def gls_refine(
     for index, (mean, sd) in enumerate(expected, start=k):
         precision[index, index] = sd**-2
         pull[index] = -mean * sd**-2
-    inverse = invert_scaled(normal[:, :-1] + precision)
+    inverse = scaled_inverse(normal[:, :-1] + precision)
     step = inverse @ (normal[:, -1] - pull)
     light = solution.light - solution.light_jacobian @ step[:k]
     return replace(solution, p=solution.p + step[:k], light=light, covariance=inverse[:k, :k], correlated_noise=True)

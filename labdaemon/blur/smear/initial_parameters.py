@@ -9,7 +9,8 @@ from labdaemon.blur.patch.illumination import render_illumination, solve_illumin
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import pixel_weights
-from labdaemon.blur.smear.forward_model import FitProblem, forward_model
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.spectra import closed_form
 
 
@@ -32,7 +33,7 @@ def initial_parameters(sharp: SharpTarget, problem: FitProblem, blur: Defocus, k
             for side in (-1, 0, 1):
                 place = problem.initial_centre_px + side * a
                 starts.append(np.concatenate((place, [blur.mean_px2], np.zeros(k), guess)))
-    model = forward_model(problem, closed_form.orbit_transfer)
+    model = fast_forward_model(problem, closed_form.orbit_transfer)
     costs = []
     for start in starts:
         dark, _ = model(start)

@@ -13,7 +13,7 @@ import numpy as np
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
-from labdaemon.blur.smear.forward_model import FitProblem, TransferFunction
+from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.spectra import closed_form
 

@@ -1,24 +1,61 @@
-"""How far a result can be trusted: covariance from the residuals as they are, and the flags."""
+"""Uncertainty of a measurement: every correction of the covariance, in the order of application, with its reason.
+
+The covariance starts as the inverse normal matrix of the fit. With the weights 1/variance of the noise model it is the
+Cramér–Rao bound, and no unbiased estimate has a smaller one. The normal matrix already contains the priors of the
+nuisance parameters: the defocus of the frame by its control targets, and the target's shape by the sharp frame and by
+the change of scale with depth (`SharpTarget.with_scale_uncertainty`). Then, in this order:
+
+1. *Paper texture* is noise that neighbouring pixels share, and it moves with the target. `gls.gls_refine` puts it into
+   the weights and takes the covariance of that fit. Reason: weights for independent noise understate
+   the sd of a long path.
+2. *Residuals* larger than the noise model, or correlated, mean that the model or the noise model is incomplete.
+   `robust_covariance` propagates them (White 1980, doi:10.2307/1912934).
+3. *Timing*: a window is known within the sd of its opening and of its length. `timing_covariance` adds their effect.
+   Reason: they are errors of the model, which no residual shows.
+4. *Phase*: where the image hardly shows the phase, the covariance is that of all phases (`phase.posterior`,
+   `phase.orbit_phase`). Reason: a linear covariance does not describe an arc.
+5. *The minor axis* of a path that was fitted as a straight one is unknown within the sd of its square.
+   `straight_path_covariance` reports it. Reason: a fit without a parameter does not show that parameter's error.
+6. *Rest*: near rest the image depends on a² alone. `covariance_at_rest` turns the sd of a² into that of a, in every
+   direction. Reason: the derivative of the image by a vanishes at a = 0, so that step 2 would give any sd.
+7. *An occluder's edge*: the result with two margins differs, and the difference counts as an error
+   (`fit.occlusion`). Reason: an occluder's soft edge has no model.
+
+A group of whole-cycle frames is a weighted mean with the covariance of its members (`group`). Orientation and survey
+enter later, in ``geometry``.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy import fft
 
 from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
+from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import saturation_ceiling_dn
+from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.flags import Flag
+from labdaemon.orbit_axes import orient_positive
+
+
+def windowed_covariance(solution: Solution, frame_set: FrameSet, transfer_factory: TransferFactory) -> FloatArray:
+    """(k, k) covariance of a fit through known windows: corrections 2 and 3."""
+    robust = robust_covariance(frame_set.sharp, solution, frame_set.planes)
+    return robust + timing_covariance(solution, frame_set, transfer_factory)
 
 
 def robust_covariance(sharp: SharpTarget, solution: Solution, planes: ColourPlanes) -> FloatArray:
-    """(k, k) covariance that holds when residuals are larger than noise, or correlated.
+    """(k, k) covariance that holds for residuals larger than the noise, and for correlated ones (correction 2).
 
-    Where the residuals are as white and as small as the noise model says, it is the inverse normal matrix. Otherwise
-    their power spectrum, by bands of spatial frequency, is linear_update through the fit.
+    Residuals as white and as small as the noise model give the inverse normal matrix. Otherwise the power spectrum of
+    the residuals, averaged in bands of spatial frequency, is propagated through the fit's influence function: the
+    sandwich covariance of White (1980), for noise that is stationary instead of independent.
     """
     if sharp.noise_known and (
         solution.chi2 < UNCERTAINTY.white_chi2 or (solution.correlated_noise and solution.chi2 < UNCERTAINTY.poor_chi2)
@@ -43,8 +80,65 @@ def robust_covariance(sharp: SharpTarget, solution: Solution, planes: ColourPlan
     return result
 
 
+def timing_covariance(best: Solution, frame_set: FrameSet, transfer_factory: TransferFactory) -> FloatArray:
+    """(k, k) covariance by the sd of each window's opening and length (correction 3), by differences of the model."""
+    size = len(best.p)
+    total = np.zeros((size, size))
+    windows = frame_set.windows
+    if all(window.sd_phase_rad <= 0 and window.sd_exposure_s <= 0 for window in windows):
+        return total
+    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[frame_set.first_motion :]))
+    base, _ = frame_set.forward_model(transfer_factory, reach)(best.p)
+    level = paper_level(frame_set.planes, best.light) * best.light[:, 3, None, None]
+    for index, window in enumerate(windows):
+        later = replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad)
+        longer = replace(window, exposure_s=window.exposure_s + window.sd_exposure_s)
+        for other, sd in ((later, window.sd_phase_rad), (longer, window.sd_exposure_s)):
+            if sd <= 0:
+                continue
+            changed = replace(frame_set, windows=[*windows[:index], other, *windows[index + 1 :]])
+            moved, _ = changed.forward_model(transfer_factory, reach)(best.p)
+            shift = np.einsum("knhw,nhw->k", best.influence, -level * (moved - base))
+            total += np.outer(shift, shift)
+    return total
+
+
+def straight_path_covariance(
+    p: FloatArray, covariance: FloatArray, k: int, sd_minor_px2: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Vectors a and b of a straight path, and the (6, 6) covariance of x, y, a, b (correction 5).
+
+    Parameters
+    ----------
+    p, covariance
+        (5 + k,) x, y, defocus, k shape parameters, ax, ay, and their covariance.
+    sd_minor_px2
+        Standard deviation of the squared minor axis in the orbit's fit.
+    """
+    pick = [0, 1, 3 + k, 4 + k]
+    result = np.zeros((6, 6))
+    result[:4, :4] = covariance[np.ix_(pick, pick)]
+    a = p[3 + k :]
+    if not np.array_equal(orient_positive(a), a):
+        result[:2, 2:4] *= -1
+        result[2:4, :2] *= -1
+        a = -a
+    across = np.array([-a[1], a[0]]) / max(float(np.hypot(*a)), 1e-12)
+    result[4:, 4:] = sd_minor_px2 * np.outer(across, across)
+    return a, np.zeros(2), result
+
+
+def covariance_at_rest(covariance: FloatArray, amplitude_px: float, sd_square_px2: float) -> FloatArray:
+    """(6, 6) covariance with the block of a replaced by that of its square, in every direction (correction 6)."""
+    result = covariance.copy()
+    sd = np.sqrt(amplitude_px**2 + sd_square_px2) - amplitude_px
+    result[2:4, :] = result[:, 2:4] = 0.0
+    result[2:4, 2:4] = sd**2 * np.eye(2)
+    return result
+
+
 def quality_flags(sharp: SharpTarget, best: Solution, a: FloatArray, b: FloatArray) -> set[Flag]:
-    """What the residuals, the smear's reach and the sharp frame say."""
+    """Flags by the residuals, by the extent of the blurred target on its paper, and by the sharp frame."""
     flags = set(sharp.flags & {Flag.POOR_FIT})
     if best.chi2 > UNCERTAINTY.poor_chi2 and sharp.noise_known:
         flags.add(Flag.POOR_FIT)
@@ -55,7 +149,7 @@ def quality_flags(sharp: SharpTarget, best: Solution, a: FloatArray, b: FloatArr
 
 
 def saturation_flags(planes: ColourPlanes, sd_px: float, size_px: float) -> set[Flag]:
-    """`saturated` where so much is at white level that what is left does not determine the motion."""
+    """Flag `saturated` where the pixels below white level do not determine the motion."""
     clipped = float(np.mean(planes.values >= saturation_ceiling_dn(planes)))
     if clipped > UNCERTAINTY.saturated_fraction and sd_px > max(
         UNCERTAINTY.undetermined_sd_px, UNCERTAINTY.undetermined_sd_fraction * size_px

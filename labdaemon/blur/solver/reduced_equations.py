@@ -1,15 +1,15 @@
-"""Normal equations of a patch with the illumination eliminated (variable projection), and their solution."""
+"""Normal equations of a patch with the illumination eliminated (variable projection, doi:10.1137/0710036)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
 
 from labdaemon.blur.patch.colour_planes import ColourPlanes
 from labdaemon.blur.patch.illumination import illumination_derivatives, render_illumination, ridge_matrix
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.least_squares import damped_step, scaled_inverse, unit_scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,14 +103,7 @@ class ReducedEquations:
 
     def step(self, damping: float) -> FloatArray:
         """Change of the parameters, with the diagonal raised by a factor 1 + damping."""
-        damped, gradient = self.reduced / (self.scale[:, None] * self.scale), self.gradient / self.scale
-        damped.flat[:: len(damped) + 1] += damping
-        try:
-            step = np.linalg.solve(damped, gradient)
-        except np.linalg.LinAlgError:  # something does not show at all: it stays
-            step = np.linalg.lstsq(damped, gradient, rcond=1e-12)[0]
-        result: FloatArray = step.astype(np.float64) / self.scale
-        return result
+        return damped_step(self.reduced, self.gradient, damping)
 
     def light_step(self, step: FloatArray) -> FloatArray:
         """(n, 4) change of the light that goes with a change of the parameters."""
@@ -146,7 +139,7 @@ def reduce_normal_equations(
     reduced = (normal[:, :k, :k] - normal[:, :k, k:] @ light_elimination[:, :, :k]).sum(axis=0) + prior.precision
     gradient = (products_with_residual[:, :k] - (normal[:, :k, k:] @ light_elimination[:, :, k:])[..., 0]).sum(axis=0)
     gradient = gradient - prior.precision @ (p - prior.mean)
-    scale = np.sqrt(np.maximum(np.diag(reduced), 1e-30))
+    scale = unit_scale(reduced)
     return ReducedEquations(reduced, gradient, light_elimination.astype(np.float64), scale, columns[:, :-1])
 
 
@@ -181,7 +174,7 @@ def build_solution(
     converged: bool,
 ) -> Solution:
     k = len(p)
-    covariance = invert_scaled(equations.reduced)
+    covariance = scaled_inverse(equations.reduced)
     dof = int(np.count_nonzero(weight)) - k - 4 * int(np.count_nonzero(weight.any(axis=(1, 2))))
     prior_covariance = covariance @ prior.precision @ covariance
     light_jacobian = equations.light_elimination[:, :, :k].copy()
@@ -199,17 +192,3 @@ def build_solution(
         light_jacobian,
         equations.whitened_jacobian,
     )
-
-
-def invert_scaled(matrix: FloatArray) -> FloatArray:
-    """Inverse of a non-negative matrix, scaled first; directions that nothing determines stay out."""
-    scale = 1 / np.sqrt(np.maximum(matrix.diagonal(), 1e-30))
-    both = scale[:, None] * scale
-    factor, singular = lapack.dpotrf(matrix * both, lower=1, clean=1)
-    if singular:
-        inverse = np.linalg.pinv(matrix * both, rcond=1e-14, hermitian=True)
-    else:
-        root = lapack.dtrtri(factor, lower=1)[0]
-        inverse = root.T @ root
-    result: FloatArray = inverse * both
-    return result

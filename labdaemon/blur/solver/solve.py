@@ -2,7 +2,8 @@
 
 A pixel of channel c is L_c(x)·(1 − k_c·m(x; p)) with L_c = w0 + w1·x + w2·y (white and light gradient), k_c the
 contrast of ink against paper and m the modelled darkness. Each channel's four numbers are eliminated from the normal
-equations (variable projection), so that what is left is as small as the motion itself.
+equations (variable projection; Golub and Pereyra 1973, doi:10.1137/0710036), so that the system that remains is
+as small as the motion itself. Damping is that of Marquardt (1963, doi:10.1137/0111030).
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from labdaemon.blur.solver.reduced_equations import (
     Prior,
     Solution,
     build_solution,
-    invert_scaled,
     linear_update,
     reduce_normal_equations,
     weighted_squares,
 )
+from labdaemon.least_squares import scaled_inverse
 
 DarknessModel = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From parameters (k,) to darkness (n, h, w) and its derivatives (k, n, h, w).
@@ -212,8 +213,8 @@ def project_to_submodel(
     root = np.sqrt(full.weight)
     residual = full.residual - change
     signal = full.signal + np.divide(change, root, out=np.zeros_like(root), where=root > 0)
-    information = jacobian.T @ (invert_scaled(full.covariance) - full_prior.precision) @ jacobian + prior.precision
-    covariance = invert_scaled(information)
+    information = jacobian.T @ (scaled_inverse(full.covariance) - full_prior.precision) @ jacobian + prior.precision
+    covariance = scaled_inverse(information)
     return Solution(
         p,
         covariance,

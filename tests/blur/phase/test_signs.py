@@ -22,7 +22,7 @@ def blur_of(window: ExposureWindow, v: np.ndarray, middle_rad: float) -> np.ndar
 
 
 @pytest.mark.parametrize("cycles", [0.37, 0.8, 2.4, 5.37, 5.5])
-def test_the_four_motions_that_look_alike(cycles):
+def test_the_four_motions_of_one_image(cycles):
     v, window = np.array([2.0, -0.7]), ExposureWindow(cycles, 1.0)
     for mu in (0.2, 0.9, 1.4):
         same = [blur_of(window, *pair) for pair in ((v, mu), (v, np.pi - mu), (-v, -mu), (-v, np.pi + mu))]
@@ -42,7 +42,7 @@ def test_no_sign_over_whole_cycles_or_about_the_mean_position():
 
 
 @pytest.mark.parametrize("cycles", [0.3, 1.2, 5.5, 7.1])
-def test_the_skew_tells_the_sine_apart_for_any_window(cycles):
+def test_the_skew_shows_the_sine_for_any_window(cycles):
     """The third moment has the sign of -sin μ·sin(Θ/2) all round."""
     basis, weight = window_nodes(ExposureWindow(cycles, 1.0), 3.0)
     for mu in np.linspace(0.05, np.pi - 0.05, 9):
