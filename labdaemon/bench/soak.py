@@ -1,6 +1,6 @@
 """`labdaemon bench soak`: days of campaign in simulated time, through hundreds of faults, with memory watched.
 
-The engine, the journal and all that lies between are the real ones; the devices are `labdaemon.capture.fakes`, which
+The engine, the journal and all that lies between are the real ones; the devices are `labdaemon.testing.rig`, which
 fail at random as they are told to. Every frame that a fake camera takes is accounted for in the end.
 """
 
@@ -22,11 +22,11 @@ import click
 
 from labdaemon.bench.verdict import Verdict, judge
 from labdaemon.campaign.attempts import Policy
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.campaign.guard import Pace
-from labdaemon.capture.fakes import FaultKind
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
+from labdaemon.testing.lab import FakeLab
+from labdaemon.testing.rig import FaultKind
 
 OPERATIONS: dict[str, tuple[FaultKind, ...]] = {
     "shaker.set": ("gone", "rubbish", "refused", "silent", "slow"),

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from labdaemon.bench.verdict import Verdict, judge
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import transitions
+from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
 name = "judged"

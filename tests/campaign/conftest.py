@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.clock import SimulatedClock
+from labdaemon.testing.lab import FakeLab
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from labdaemon.campaign.attempts import Policy
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.campaign.interlocks import Limits
 from labdaemon.campaign.manual_request import CaptureRequest
 from labdaemon.errors import LimitError
 from labdaemon.journal import records
 from labdaemon.stream.messages import Busy, NotFound, WrongState
+from labdaemon.testing.lab import FakeLab
 
 THREE = """
 name = "three"

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.capture.places import campaign_folder
 from labdaemon.errors import StorageError, StorageFull, StorageUnavailable
 from labdaemon.journal import records
+from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
 name = "disk"

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from labdaemon.bench.kill import ONCE, TRANSITIONS
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.journal.frames import PART
+from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
 name = "killed"

@@ -15,10 +15,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from labdaemon.bench.soak import OPERATIONS
 from labdaemon.bench.verdict import judge
 from labdaemon.campaign.attempts import Policy
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.stream.messages import CommandError
+from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
 name = "model"

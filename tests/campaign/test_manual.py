@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.campaign.manual_request import CaptureRequest, capture_name, is_group_name, safe_name
 from labdaemon.campaign.table_motion import TableMotion, contradiction
-from labdaemon.capture.fakes import fake_rig
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.stream.messages import InvalidParams
+from labdaemon.testing.lab import FakeLab
+from labdaemon.testing.rig import fake_rig
 
 MANUAL = "0000-manual"
 

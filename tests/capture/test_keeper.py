@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from labdaemon.capture.fakes import FakeRig, fake_rig
 from labdaemon.capture.keeper import TableKeeper
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import LabdaemonError, RestUnconfirmed
+from labdaemon.testing.rig import FakeRig, fake_rig
 
 GONE = ["gone"] * 200
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import card_records, records
+from labdaemon.testing.lab import FakeLab
 
 STEPS = """
 name = "late"

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from labdaemon.capture.fakes import FakeRig, fake_rig
 from labdaemon.capture.proof import LineUnproven, can_prove, prove_line
 from labdaemon.capture.table import Table
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DeviceError
+from labdaemon.testing.rig import FakeRig, fake_rig
 
 Scenario = Callable[[FakeRig, Table, SimulatedClock], Awaitable[None]]
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from labdaemon.capture.devices import GaugeReading
-from labdaemon.capture.fakes import fake_rig
 from labdaemon.capture.settle import Excitation, is_steady, ring_s, wait_settled
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DeviceError
+from labdaemon.testing.rig import fake_rig
 
 
 def test_ring_time_is_that_of_the_free_vibration():

@@ -5,11 +5,11 @@ import asyncio
 import pytest
 
 from labdaemon.capture.devices import GaugeReading
-from labdaemon.capture.fakes import fake_rig
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table, displacement_mm
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DeviceError, InterlockError, RestUnconfirmed
+from labdaemon.testing.rig import fake_rig
 
 QUICK = Excitation(5.0, 1.0, max_change_per_cycle=0.5)
 

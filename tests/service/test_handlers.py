@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.campaign.fakes import FakeLab
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import LimitError
 from labdaemon.service.desk import METHODS, Desk
 from labdaemon.service.handlers import handlers
 from labdaemon.service.status import status_of
 from labdaemon.stream.messages import InvalidParams, WrongState
+from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
 name = "handled"

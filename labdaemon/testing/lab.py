@@ -16,7 +16,6 @@ from labdaemon.campaign.measuring import Measured, Measuring
 from labdaemon.campaign.plan import PlanRig, make_plan
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.capture import Lab
-from labdaemon.capture.fakes import FakeRig, FakeWorld, fake_rig
 from labdaemon.capture.keeper import TableKeeper
 from labdaemon.capture.lines import InlineLine
 from labdaemon.capture.observer import Proof
@@ -27,6 +26,7 @@ from labdaemon.errors import DataError, SetupError, StorageError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
+from labdaemon.testing.rig import FakeRig, FakeWorld, fake_rig
 
 ENDED: tuple[CampaignState, ...] = ("completed", "aborted", "failed", "paused")
 
