@@ -11,9 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from labdaemon.bench.bound import BoundTable, Light, bound_table
+from labdaemon.bench.bound import BoundTable, ImageNoise, bound_table
 from labdaemon.bench.cases import BASE, Case, cases
-from labdaemon.bench.pairs import Pair, pair_up, read_truth
+from labdaemon.bench.pairs import MotionComparison, pair_up, read_truth
 from labdaemon.bench.simulator import folder_maker, renderer
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.run import process_folder
@@ -34,8 +34,8 @@ class CaseResult:
     """
 
     case: Case
-    ours: list[Pair]
-    published: list[Pair] | None = None
+    ours: list[MotionComparison]
+    published: list[MotionComparison] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +86,7 @@ def run_accuracy(
     workers
         Processes, 0 for one a core.
     tell
-        Told of each case's completion.
+        Called at each case's completion.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def render_case(case: Case, seed: int, folder: Path) -> Path:
 
 def diameter_bounds(diameter_mm: float) -> BoundTable:
     """The bound for dots of one size; a worker's task."""
-    return bound_table(renderer(), (diameter_mm,), Light())
+    return bound_table(renderer(), (diameter_mm,), ImageNoise())
 
 
 def _start_bounds(pool: WorkerPool) -> list[Future[BoundTable]]:

@@ -8,8 +8,8 @@ from typing import Any
 
 from labdaemon.bench.accuracy import AccuracyResult, CaseResult
 from labdaemon.bench.cases import SIGN_CYCLES
-from labdaemon.bench.pairs import Pair, sign_is_right
-from labdaemon.bench.statistics import SEEN_MM, Figures, figures, median_phase_error_deg
+from labdaemon.bench.pairs import MotionComparison, sign_is_right
+from labdaemon.bench.statistics import SEEN_MM, ErrorStatistics, figures, median_phase_error_deg
 
 PUBLISHED = (-0.115, 0.158, 0.38)
 """Mean error, its standard deviation, and what 95 % lie within, mm: McCarthy, Chandler and Palmeri 2016, Fig. 13."""
@@ -68,7 +68,7 @@ def _fig13(pooled: CaseResult, result: AccuracyResult) -> list[str]:
     return text
 
 
-def _bands(pairs: list[Pair], result: AccuracyResult) -> list[str]:
+def _bands(pairs: list[MotionComparison], result: AccuracyResult) -> list[str]:
     columns = f"{'mean µm':>10}{'sd µm':>9}{'95 % µm':>9}{'bound µm':>10}{'ratio':>7}{'pulls':>7}"
     text = ["", f"{'by amplitude and size':38}{'n':>5}{columns}"]
     groups = [(f"{low:g} to {high:g} mm", [p for p in pairs if low <= p.true_mm < high]) for low, high in BANDS_MM]
@@ -154,7 +154,7 @@ def _case_document(case: CaseResult, result: AccuracyResult) -> dict[str, Any]:
     return made
 
 
-def _pair_document(pair: Pair) -> dict[str, Any]:
+def _pair_document(pair: MotionComparison) -> dict[str, Any]:
     measured = bool(pair.compared)
     return {
         "diameter_mm": pair.diameter_mm,
@@ -165,5 +165,5 @@ def _pair_document(pair: Pair) -> dict[str, Any]:
     }
 
 
-def _plain(f: Figures) -> dict[str, float | int | None]:
+def _plain(f: ErrorStatistics) -> dict[str, float | int | None]:
     return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(f).items()}

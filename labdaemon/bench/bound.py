@@ -1,8 +1,8 @@
 """The Cramér–Rao bound: the least standard deviation that any unbiased measurement of a frame could have.
 
-Fisher's information is J' C⁻¹ J with J the derivatives of the noise-free picture, taken numerically from the renderer,
-and C the covariance of its pixels: photon and read noise, which are independent, and the paper's grain, which is not.
-The grain moves with the paper, so the motion smears it: its spectrum is multiplied by that of the path's dwell time.
+Fisher's information is J' C⁻¹ J with J the derivatives of the noise-free image, taken numerically from the renderer,
+and C the covariance of its pixels: photon and read noise, which are independent, and the paper's texture, which is not.
+The texture moves with the paper, so the motion blurs it: its spectrum is multiplied by that of the path's dwell time.
 Counted as unknown: position, motion in both directions, ink and paper in each colour, and a slope of the light.
 """
 
@@ -21,12 +21,12 @@ PX_PER_MM = 24.0 / 6.1
 """Of the set-up at 1 m."""
 
 LENS_SIGMA_PX = 1.25
-"""Gaussian that stands in for the lens where grain is smeared (not where the dot is)."""
+"""Gaussian that approximates the lens where paper texture is blurred (not where the dot is)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
-    """Noise of a picture.
+class ImageNoise:
+    """Brightness and noise of an image.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Light:
     electrons_per_dn, read_noise_e
         Photon transfer.
     texture, texture_length_mm
-        The paper's grain.
+        Relative sd of the paper's texture, and its correlation length.
     """
 
     white_dn: float = 2900.0
@@ -46,7 +46,7 @@ class Light:
 
 
 def motion_bound_mm(
-    render: Renderer, diameter_mm: float, amplitude_mm: float, light: Light, *, angle_rad: float = 0.5
+    render: Renderer, diameter_mm: float, amplitude_mm: float, light: ImageNoise, *, angle_rad: float = 0.5
 ) -> tuple[float, float]:
     """Least standard deviation of one target's motion.
 
@@ -69,19 +69,17 @@ def motion_bound_mm(
     along = np.array([np.cos(angle_rad), 0.0, np.sin(angle_rad)])
     across = np.array([-np.sin(angle_rad), 0.0, np.cos(angle_rad)])
 
-    def picture(
-        x: float = 0.0, y: float = 0.0, a: float = amplitude_mm, b: float = 0.0, ink: float = 0.05
-    ) -> FloatArray:
-        return _picture(render, diameter_mm, amplitude_mm, a * along + b * across, (x, y), ink, light)
+    def image(x: float = 0.0, y: float = 0.0, a: float = amplitude_mm, b: float = 0.0, ink: float = 0.05) -> FloatArray:
+        return _draw_image(render, diameter_mm, amplitude_mm, a * along + b * across, (x, y), ink, light)
 
     step = 0.02
-    # The second-order rule is exact enough: the picture bends over a few tenths of a millimetre.
-    by_x = (picture(x=step) - picture(x=-step)) / (2.0 * step)
-    by_y = (picture(y=step) - picture(y=-step)) / (2.0 * step)
-    by_a = (picture(a=amplitude_mm + step) - picture(a=amplitude_mm - step)) / (2.0 * step)
-    by_b = (picture(b=step) - picture(b=-step)) / (2.0 * step)
-    middle = picture()
-    by_ink = (picture(ink=0.07) - picture(ink=0.03)) / 0.04
+    # The second-order rule is exact enough: the image curves over a few tenths of a millimetre.
+    by_x = (image(x=step) - image(x=-step)) / (2.0 * step)
+    by_y = (image(y=step) - image(y=-step)) / (2.0 * step)
+    by_a = (image(a=amplitude_mm + step) - image(a=amplitude_mm - step)) / (2.0 * step)
+    by_b = (image(b=step) - image(b=-step)) / (2.0 * step)
+    middle = image()
+    by_ink = (image(ink=0.07) - image(ink=0.03)) / 0.04
     colour = _colours(middle.shape)
     rows, columns = np.indices(middle.shape)
     slopes = [middle * (grid - grid.mean()) / grid.max() for grid in (rows, columns)]
@@ -96,16 +94,16 @@ def motion_bound_mm(
     return float(bounds[0]), float(bounds[3])
 
 
-def _picture(
+def _draw_image(
     render: Renderer,
     diameter_mm: float,
     amplitude_mm: float,
     vector_mm: FloatArray,
     centre_mm: tuple[float, float],
     ink: float,
-    light: Light,
+    light: ImageNoise,
 ) -> FloatArray:
-    """Noise-free picture of one dot on paper that reaches beyond the picture."""
+    """Noise-free image of one dot on paper that reaches beyond the image."""
     half = int(np.ceil((0.5 * diameter_mm + amplitude_mm) * PX_PER_MM)) + 14
     size = 2 * half + 1
     sheet = (size + 40) / PX_PER_MM
@@ -142,15 +140,15 @@ def _colours(shape: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 class _Covariance:
-    """Pixel covariance C = D + M K M: independent noise, and grain K seen through the picture's brightness M."""
+    """Pixel covariance C = D + M K M: independent noise, and paper texture K scaled by the image's brightness M."""
 
-    def __init__(self, middle: FloatArray, light: Light, semi_amplitude_px: FloatArray) -> None:
+    def __init__(self, middle: FloatArray, light: ImageNoise, semi_amplitude_px: FloatArray) -> None:
         self._noise = middle / light.electrons_per_dn + (light.read_noise_e / light.electrons_per_dn) ** 2
         self._bright = middle
         height, width = middle.shape
         fy, fx = np.fft.fftfreq(2 * height)[:, None], np.fft.rfftfreq(2 * width)[None, :]
         length = light.texture_length_mm * PX_PER_MM
-        grain = light.texture**2 * 2.0 * np.pi * length**2 * np.exp(-2.0 * np.pi**2 * length**2 * (fx**2 + fy**2))
+        texture = light.texture**2 * 2.0 * np.pi * length**2 * np.exp(-2.0 * np.pi**2 * length**2 * (fx**2 + fy**2))
         lens = np.exp(-4.0 * np.pi**2 * LENS_SIGMA_PX**2 * (fx**2 + fy**2)) * np.sinc(fx) ** 2 * np.sinc(fy) ** 2
         moments = np.sin(2.0 * np.pi * (np.arange(256) + 0.5) / 256)
         # z is up and y is down
@@ -158,17 +156,17 @@ class _Covariance:
         dwell = np.zeros_like(turns, dtype=complex)
         for moment in moments:
             dwell += np.exp(-2j * np.pi * moment * turns)
-        self._spectrum = grain * lens * np.abs(dwell / moments.size) ** 2
+        self._spectrum = texture * lens * np.abs(dwell / moments.size) ** 2
 
     def times(self, vector: FloatArray) -> FloatArray:
-        """C applied to a picture."""
+        """C applied to an image."""
         height, width = vector.shape
         spectrum = np.fft.rfft2(self._bright * vector, (2 * height, 2 * width)) * self._spectrum
-        grain = np.fft.irfft2(spectrum, (2 * height, 2 * width))[:height, :width]
-        return np.asarray(self._noise * vector + self._bright * grain)
+        texture = np.fft.irfft2(spectrum, (2 * height, 2 * width))[:height, :width]
+        return np.asarray(self._noise * vector + self._bright * texture)
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """C⁻¹ applied to a picture, by conjugate gradients preconditioned with the independent noise."""
+        """C⁻¹ applied to an image, by conjugate gradients preconditioned with the independent noise."""
         x = np.zeros_like(right)
         residual = right.copy()
         z = residual / self._noise
@@ -218,7 +216,7 @@ class BoundTable:
         return float(np.exp(np.interp(np.log(amplitude_mm), np.log(self.amplitude_mm), np.log(table))))
 
 
-def bound_table(render: Renderer, diameters_mm: tuple[float, ...], light: Light, count: int = 7) -> BoundTable:
+def bound_table(render: Renderer, diameters_mm: tuple[float, ...], light: ImageNoise, count: int = 7) -> BoundTable:
     """Tabulate the bound from 0.1 to 12 mm."""
     amplitudes = np.geomspace(0.1, 12.0, count)
     along: dict[float, FloatArray] = {}

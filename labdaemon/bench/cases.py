@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 TEXTURE, TEXTURE_LENGTH_MM = 0.004, 0.3
-"""Relative grain of the paper and its correlation length."""
+"""Relative sd of the paper texture and its correlation length."""
 
 BASE: Mapping[str, Any] = {
     "cameras": 1,
@@ -43,7 +43,7 @@ class Case:
     pooled
         Whether it counts for the pooled figures.
     phased
-        Whether a and b carry the phase: their stated deviations then say nothing of the major axis' length alone.
+        Whether a and b carry the phase: their standard deviations then say nothing of the major axis' length alone.
     """
 
     key: str
@@ -54,7 +54,7 @@ class Case:
     phased: bool = False
 
     def folder_options(self, seed: int) -> dict[str, Any]:
-        """Everything the folder maker is told."""
+        """All options for the folder maker."""
         return {**BASE, **self.options, "seed": seed}
 
 
@@ -92,7 +92,7 @@ def cases(quick: bool) -> list[Case]:
         Case("clipped", "paper clipped in green", {**more, "white_dn": 4800.0}),
         Case("noisy", "28 e- read noise", {**more, "read_noise_e": 28.0}),
         Case("slope", "light falling by half", {**more, "gradient": (0.5, 0.3)}),
-        Case("smooth", "paper without grain", {**more, "texture": 0.0}),
+        Case("smooth", "paper without texture", {**more, "texture": 0.0}),
         Case("defocus", "out of focus by 1.5 px", {**more, "defocus_px": 1.5}),
         Case("shaken", "frame shifted by 0.7 px", {**more, "camera_shift_px": 0.7}),
     ]

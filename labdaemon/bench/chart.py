@@ -1,4 +1,4 @@
-"""The accuracy programme as a picture: errors of both methods, and ours against the bound."""
+"""The accuracy programme as a figure: errors of both methods, and ours against the bound."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import click
 
-from labdaemon.bench.kill import Victim, small_rig
+from labdaemon.bench.kill import DaemonUnderTest, small_rig
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
@@ -49,13 +49,13 @@ WELL: tuple[Ending, ...] = ("went on", "stopped, then went on", "ended at rest, 
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
-    """How the daemon bore a fault.
+class FaultOutcome:
+    """What a fault made the daemon do.
 
     Attributes
     ----------
-    told
-        What it said first, None if it noticed nothing (a fault that costs nothing needs no word).
+    message
+        Message of its first fault event, None if it published none (a fault that costs nothing needs none).
     after_s
         Seconds from the fault to its end: completion, or the table at rest.
     """
@@ -64,20 +64,20 @@ class Met:
     fault: str
     lasting: bool
     ending: Ending
-    told: str | None
+    message: str | None
     after_s: float
 
 
-class Patient:
-    """A daemon that is made to meet faults."""
+class FaultTrial:
+    """A daemon with a simulated rig, into which faults are injected one after the other."""
 
     def __init__(self, rig: Any, folder: Path) -> None:
-        self._victim, self._rig = Victim(rig, folder, gauges=True), rig
-        text = self._victim.config.read_text()
-        self._victim.config.write_text(text.replace("[interlocks]", "[interlocks]" + INTERLOCKS))
+        self._daemon, self._rig = DaemonUnderTest(rig, folder, gauges=True), rig
+        text = self._daemon.config.read_text()
+        self._daemon.config.write_text(text.replace("[interlocks]", "[interlocks]" + INTERLOCKS))
 
-    def meet(self, device: str, fault: str, *, lasting: bool) -> Met:
-        """One fault, from a running campaign to its end."""
+    def run_fault(self, device: str, fault: str, *, lasting: bool) -> FaultOutcome:
+        """Inject one fault into a running campaign and wait for the campaign's end."""
         self._up()
         while self._ask("status")["campaign"] is not None:  # what the last one left
             self._ask("campaign.abort")
@@ -89,39 +89,38 @@ class Patient:
         self._rig.inject(device, fault, count=None if lasting else 1)
         state = self._until_over(campaign["campaign"])
         after_s = time.monotonic() - began
-        told = self._first_fault(seq)
+        message = self._first_fault(seq)
         if state == "completed":
             self._rig.clear()
-            return Met(device, fault, lasting, "went on", told, after_s)
+            return FaultOutcome(device, fault, lasting, "went on", message, after_s)
         if not self._wait(lambda: not self._rig.table()["moving"], 10.0):
-            return Met(device, fault, lasting, "MOVES ON", told, after_s)
+            return FaultOutcome(device, fault, lasting, "MOVES ON", message, after_s)
         ended = state == "gone"
         self._rig.clear()
         if state is None:
-            self._victim.kill()
-            return Met(device, fault, lasting, "HANGS", told, after_s)
+            self._daemon.kill()
+            return FaultOutcome(device, fault, lasting, "HANGS", message, after_s)
         self._up()
         if self._ask("status")["state"] == "paused":
             self._ask("campaign.resume")
         if self._until_over(campaign["campaign"], again=True) != "completed":
-            self._victim.kill()
-            return Met(device, fault, lasting, "HANGS", told, after_s)
-        return Met(
-            device, fault, lasting, "ended at rest, then went on" if ended else "stopped, then went on", told, after_s
-        )
+            self._daemon.kill()
+            return FaultOutcome(device, fault, lasting, "HANGS", message, after_s)
+        ending: Ending = "ended at rest, then went on" if ended else "stopped, then went on"
+        return FaultOutcome(device, fault, lasting, ending, message, after_s)
 
     def close(self) -> None:
         """End the daemon."""
-        self._victim.end()
+        self._daemon.end()
 
     def _up(self) -> None:
-        process = getattr(self._victim, "process", None)
+        process = getattr(self._daemon, "process", None)
         while process is None or process.poll() is not None:
-            self._victim.start()
-            process = self._victim.process
+            self._daemon.start()
+            process = self._daemon.process
 
     def _ask(self, method: str, **params: Any) -> Any:
-        with Client(self._victim.commands, timeout_s=20.0) as client:
+        with Client(self._daemon.commands, timeout_s=20.0) as client:
             return client.call(method, **params)
 
     def _first_fault(self, seq: int) -> str | None:
@@ -129,14 +128,14 @@ class Patient:
             events = self._ask("events.replay", after=seq)["events"]
         except LabdaemonError:
             return None
-        told = [str(event["data"]["message"]) for event in events if event["kind"] == "fault"]
-        return told[0] if told else None
+        messages = [str(event["data"]["message"]) for event in events if event["kind"] == "fault"]
+        return messages[0] if messages else None
 
     def _until_over(self, campaign: str, *, again: bool = False) -> str | None:
         """``completed``, ``paused``, ``gone`` with the daemon, or None past the time."""
         end = time.monotonic() + MODERATE_S
         while time.monotonic() < end:
-            if self._victim.process.poll() is not None:
+            if self._daemon.process.poll() is not None:
                 return "gone"
             status = self._ask("status")
             if status["campaign"] is None:
@@ -159,12 +158,12 @@ class Patient:
         return False
 
 
-def table_of(met: list[Met]) -> str:
+def table_of(outcomes: list[FaultOutcome]) -> str:
     """The table that the README quotes: kinds a device, and how they ended."""
     heads = ["device", "faults", "went on", "stopped at rest, then went on", "hang or move on", "slowest"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    for device in dict.fromkeys(one.device for one in met):
-        mine = [one for one in met if one.device == device]
+    for device in dict.fromkeys(one.device for one in outcomes):
+        mine = [one for one in outcomes if one.device == device]
         on = sum(one.ending == "went on" for one in mine)
         bad = sum(one.ending not in WELL for one in mine)
         slowest_s = max(one.after_s for one in mine)
@@ -175,9 +174,17 @@ def table_of(met: list[Met]) -> str:
     return "\n".join(lines)
 
 
-def _line(met: Met) -> str:
-    how = "lasting" if met.lasting else "once"
-    return f"{met.device} {met.fault} ({how}): {met.ending} after {met.after_s:.1f} s; {met.told or 'no word'}"
+def _line(outcome: FaultOutcome) -> str:
+    how = "lasting" if outcome.lasting else "once"
+    message = outcome.message or "no message"
+    return f"{outcome.device} {outcome.fault} ({how}): {outcome.ending} after {outcome.after_s:.1f} s; {message}"
+
+
+def _document(outcome: FaultOutcome) -> dict[str, Any]:
+    """For ``--json``, whose keys stay as other programs know them."""
+    document = asdict(outcome)
+    document["told"] = document.pop("message")
+    return document
 
 
 @click.command("faults")
@@ -190,24 +197,24 @@ def _line(met: Met) -> str:
 def command(
     devices: tuple[str, ...], faults: tuple[str, ...], once: bool, lasting: bool, seed: int, as_json: bool
 ) -> None:
-    """Let the daemon meet every fault of every device."""
-    met: list[Met] = []
+    """Inject every fault of every device while the daemon runs."""
+    outcomes: list[FaultOutcome] = []
     for device in devices or DEVICES:
         folder = Path(tempfile.mkdtemp(prefix="labdaemon-faults-"))
         try:
             with small_rig(seed) as rig:
-                patient = Patient(rig, folder)
+                trial = FaultTrial(rig, folder)
                 try:
                     for fault in rig.control.ask("faults")[device]:
                         if faults and fault not in faults:
                             continue
                         for stays in [False] * once + [True] * lasting:
-                            met.append(patient.meet(device, fault, lasting=stays))
-                            click.echo(_line(met[-1]), err=True)
+                            outcomes.append(trial.run_fault(device, fault, lasting=stays))
+                            click.echo(_line(outcomes[-1]), err=True)
                 finally:
-                    patient.close()
+                    trial.close()
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-    click.echo(json.dumps([asdict(one) for one in met]) if as_json else table_of(met))
-    if any(one.ending not in WELL for one in met):
+    click.echo(json.dumps([_document(one) for one in outcomes]) if as_json else table_of(outcomes))
+    if any(one.ending not in WELL for one in outcomes):
         raise SystemExit(1)

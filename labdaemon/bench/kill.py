@@ -25,7 +25,7 @@ from typing import Any
 
 import click
 
-from labdaemon.bench.verdict import Verdict, judge
+from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
@@ -62,8 +62,8 @@ END_S = 900.0
 
 
 @dataclass(slots=True)
-class Outcome:
-    """What a killed campaign came to.
+class KillOutcome:
+    """Outcome of a campaign whose daemon was killed.
 
     Attributes
     ----------
@@ -76,10 +76,10 @@ class Outcome:
     label: str
     kills: int = 0
     rest_s: list[float] = field(default_factory=list)
-    verdict: Verdict = field(default_factory=Verdict)
+    verdict: CampaignVerdict = field(default_factory=CampaignVerdict)
 
 
-class Victim:
+class DaemonUnderTest:
     """A daemon process and the rig it drives.
 
     Parameters
@@ -89,7 +89,7 @@ class Victim:
     folder
         For config, data and ledger.
     gauges
-        Whether the daemon is told of the rig's gauges; without them settling is a fixed wait.
+        Whether the rig file names the rig's gauges; without them settling is a fixed wait.
     """
 
     def __init__(self, rig: Any, folder: Path, *, gauges: bool = False) -> None:
@@ -107,7 +107,7 @@ class Victim:
     def start(self, transition: str = "") -> float | None:
         """Start it, and wait until it serves or has died; seconds until the table was at rest."""
         ledger = self.folder / "ledger.txt"
-        command = [sys.executable, "-m", "labdaemon.bench.killed", self.config, self.data, transition, ledger]
+        command = [sys.executable, "-m", "labdaemon.bench.kill_child", self.config, self.data, transition, ledger]
         began = time.monotonic()
         with (self.folder / "daemon.log").open("a") as log:
             self.process = subprocess.Popen(
@@ -165,7 +165,7 @@ class Victim:
 
 def run_campaign(
     rig: Any, folder: Path, captures: int, *, transition: str = "", moments: int = 0, seed: int = 0
-) -> Outcome:
+) -> KillOutcome:
     """Walk one campaign through all its kills, and judge what is left.
 
     Parameters
@@ -175,29 +175,29 @@ def run_campaign(
     moments
         Instead, kill at so many random moments.
     """
-    chance = random.Random(seed)
-    victim, outcome = Victim(rig, folder), Outcome(transition or "random moments")
+    source = random.Random(seed)
+    daemon, outcome = DaemonUnderTest(rig, folder), KillOutcome(transition or "random moments")
     taken_before = len(rig.truth())
     end = time.monotonic() + END_S
-    while not victim.is_complete() and time.monotonic() < end:
-        rest_s = victim.start(transition)
+    while not daemon.is_complete() and time.monotonic() < end:
+        rest_s = daemon.start(transition)
         if outcome.kills and rest_s is not None:
             outcome.rest_s.append(rest_s)
-        victim.submit(captures)
-        until = time.monotonic() + chance.uniform(0.0, 6.0) if outcome.kills < moments else float("inf")
-        while victim.process.poll() is None and not victim.is_complete() and time.monotonic() < min(until, end):
+        daemon.submit(captures)
+        until = time.monotonic() + source.uniform(0.0, 6.0) if outcome.kills < moments else float("inf")
+        while daemon.process.poll() is None and not daemon.is_complete() and time.monotonic() < min(until, end):
             time.sleep(0.02)
-        if victim.is_complete() and victim.process.poll() is None:
-            victim.end()
+        if daemon.is_complete() and daemon.process.poll() is None:
+            daemon.end()
         else:
-            victim.kill()
-        outcome.kills += victim.process.returncode == -signal.SIGKILL
-    victim.end()
-    if outcome.kills and not victim.is_complete():
+            daemon.kill()
+        outcome.kills += daemon.process.returncode == -signal.SIGKILL
+    daemon.end()
+    if outcome.kills and not daemon.is_complete():
         outcome.label += " (not completed in time)"
     taken = len(rig.truth()) - taken_before
     on_cards = sum(len(files) for files in rig.control.ask("cards").values())
-    outcome.verdict = judge(victim.data, taken=taken, on_cards=on_cards, captures=captures)
+    outcome.verdict = judge(daemon.data, taken=taken, on_cards=on_cards, captures=captures)
     return outcome
 
 
@@ -220,10 +220,10 @@ def small_rig(seed: int, *, enable_wired: bool = True) -> Iterator[Any]:
         yield rig
 
 
-def table_of(outcomes: list[Outcome]) -> str:
+def table_of(outcomes: list[KillOutcome]) -> str:
     """The table that the README quotes."""
     heads = ["killed at", "kills", "frames lost", "results repeated", "missing"]
-    heads += ["stray .part", "seq gaps", "open", "slowest rest"]
+    heads += ["leftover .part", "seq gaps", "open", "slowest rest"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for outcome in outcomes:
         verdict, slowest_s = outcome.verdict, max(outcome.rest_s, default=0.0)
@@ -247,7 +247,7 @@ def command(captures: int, chosen: tuple[str, ...], before: bool, moments: int, 
     names = list(chosen or (*ONCE, *TRANSITIONS))
     if before:
         names += [f"before {name}" for name in names]
-    outcomes: list[Outcome] = []
+    outcomes: list[KillOutcome] = []
     for number, name in enumerate([*names, ""]):
         if not name and not moments:
             continue
@@ -269,8 +269,8 @@ def command(captures: int, chosen: tuple[str, ...], before: bool, moments: int, 
         raise SystemExit(1)
 
 
-def _plain(outcome: Outcome) -> dict[str, Any]:
-    counts = {name: getattr(outcome.verdict, name) for name in Verdict.__dataclass_fields__}
+def _plain(outcome: KillOutcome) -> dict[str, Any]:
+    counts = {name: getattr(outcome.verdict, name) for name in CampaignVerdict.__dataclass_fields__}
     return {
         "killed_at": outcome.label,
         "kills": outcome.kills,

@@ -1,4 +1,4 @@
-"""Reported motions beside the true ones."""
+"""Reported motions compared with the true ones."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HARMLESS = frozenset({"at_rest", "part_cycles"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class MotionComparison:
     """One target of one capture, as it moved and as it was measured.
 
     Attributes
@@ -85,7 +85,7 @@ class Pair:
         return math.degrees(float(np.angle(overlap)))
 
 
-def sign_is_right(pair: Pair, cycles: float) -> bool:
+def sign_is_right(pair: MotionComparison, cycles: float) -> bool:
     """Whether a stated sign is that of the side on which the target was, half of `cycles` after a phase of zero."""
     middle = math.pi * cycles
     side = math.sin(middle) * pair.true_a + math.cos(middle) * pair.true_b
@@ -106,7 +106,7 @@ def read_truth(folder: Path) -> list[dict[str, Any]]:
         ]
 
 
-def pair_up(truth: Sequence[Mapping[str, Any]], rows: Iterable[Mapping[str, Any]]) -> list[Pair]:
+def pair_up(truth: Sequence[Mapping[str, Any]], rows: Iterable[Mapping[str, Any]]) -> list[MotionComparison]:
     """Match each true target with the nearest reported one of its capture.
 
     Parameters
@@ -122,7 +122,7 @@ def pair_up(truth: Sequence[Mapping[str, Any]], rows: Iterable[Mapping[str, Any]
     return [_pair(true, reported.get(str(true["capture"]), [])) for true in truth]
 
 
-def _pair(true: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Pair:
+def _pair(true: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> MotionComparison:
     place = np.array([true["x_mm"], true["y_mm"], true["z_mm"]])
     found: Mapping[str, Any] = {}
     nearest = NEAR_MM
@@ -133,7 +133,7 @@ def _pair(true: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Pair:
     a, b = _vector(found, "a"), _vector(found, "b")
     if np.isfinite(a).all():
         b = np.nan_to_num(b)
-    return Pair(
+    return MotionComparison(
         true["diameter_mm"],
         np.array([true["ax"], true["ay"], true["az"]]),
         np.array([true["bx"], true["by"], true["bz"]]),
@@ -167,6 +167,6 @@ def _sd(row: Mapping[str, Any], a: FloatArray, b: FloatArray) -> float:
     major = axes(a, b)[0]
     length = float(np.linalg.norm(major))
     along = np.abs(major) / length if length > 0 else np.full(3, 3**-0.5)
-    # with a phase the major axis mixes a and b, whose deviations are alike
+    # with a phase the major axis mixes a and b, whose standard deviations are nearly equal
     sd = np.nan_to_num(_vector(row, "sd_a"))
     return float(np.linalg.norm(along * sd))

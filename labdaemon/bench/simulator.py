@@ -16,7 +16,7 @@ Motion = Callable[[FloatArray], FloatArray]
 """Times (n,) s -> displacement (n, 3) mm."""
 
 
-class Rendering(Protocol):
+class RenderedImage(Protocol):
     """A frame as rendered."""
 
     @property
@@ -37,7 +37,7 @@ class Renderer(Protocol):
         white_dn: float = 2900.0,
         optics: Mapping[str, Any] | None = None,
         sensor: Mapping[str, Any] | None = None,
-    ) -> Rendering:
+    ) -> RenderedImage:
         """One frame."""
         ...
 

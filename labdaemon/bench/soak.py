@@ -1,7 +1,7 @@
 """`labdaemon bench soak`: days of campaign in simulated time, through hundreds of faults, with memory watched.
 
 The engine, the journal and all that lies between are the real ones; the devices are `labdaemon.testing.rig`, which
-fail at random as they are told to. Every frame that a fake camera takes is accounted for in the end.
+fail at random as they are ordered to. Every frame that a fake camera takes is accounted for in the end.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import click
 
-from labdaemon.bench.verdict import Verdict, judge
+from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.campaign.attempts import Policy
 from labdaemon.campaign.guard import Pace
 from labdaemon.clock import SimulatedClock
@@ -55,8 +55,8 @@ RESUME_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Soaked:
-    """What a soak came to.
+class SoakResult:
+    """Figures of a soak.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Soaked:
     memory_mb: tuple[float, float]
     descriptors: tuple[int, int]
     seconds: float
-    verdict: Verdict
+    verdict: CampaignVerdict
 
 
 def campaign(captures: int, hours: float) -> str:
@@ -94,7 +94,7 @@ def campaign(captures: int, hours: float) -> str:
     return "\n".join(phases)
 
 
-def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int = 20, seed: int = 1) -> Soaked:
+def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int = 20, seed: int = 1) -> SoakResult:
     """Run it.
 
     Parameters
@@ -108,10 +108,10 @@ def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int 
     restarts
         How often the engine is dropped and begun again from the journal.
     """
-    clock, chance, began = SimulatedClock(), random.Random(seed), time.monotonic()
+    clock, source, began = SimulatedClock(), random.Random(seed), time.monotonic()
     fault_every_s, restart_every_s = hours * 3600.0 / (1.2 * faults), hours * 3600.0 / (restarts + 1)
 
-    async def run() -> Soaked:
+    async def run() -> SoakResult:
         lab = FakeLab(data, clock, policy=Policy(max_tries=8, pace=Pace(1.0, 1.0, 10.0, 60.0)))
         lab.start()
         id = await lab.submit(campaign(captures, hours))
@@ -129,11 +129,11 @@ def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int 
                 await lab.engine.resume()
                 resumed += 1
             if clock.monotonic() >= next_fault_s:
-                operation = chance.choice(list(OPERATIONS))
-                kind = chance.choice(OPERATIONS[operation])
+                operation = source.choice(list(OPERATIONS))
+                kind = source.choice(OPERATIONS[operation])
                 lab.world.fail(operation, kind)
                 injected[f"{operation} {kind}"] += 1
-                next_fault_s += chance.expovariate(1.0 / fault_every_s)
+                next_fault_s += source.expovariate(1.0 / fault_every_s)
             if clock.monotonic() >= next_restart_s:
                 await lab.kill()
                 lab.start()
@@ -153,7 +153,7 @@ def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int 
             has_files=False,
         )
         first = early or late
-        return Soaked(
+        return SoakResult(
             hours=clock.monotonic() / 3600.0,
             captures=done,
             faults=lab.world.faults_met,
@@ -186,27 +186,27 @@ def command(captures: int, hours: float, faults: int, seed: int) -> None:
     logging.getLogger("labdaemon").addHandler(logging.NullHandler())  # faults are what this is about
     data = Path(tempfile.mkdtemp(prefix="labdaemon-soak-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None))
     try:
-        soaked = soak(data, captures=captures, hours=hours, faults=faults, seed=seed)
+        result = soak(data, captures=captures, hours=hours, faults=faults, seed=seed)
     finally:
         shutil.rmtree(data, ignore_errors=True)
-    click.echo(table_of(soaked))
-    if not soaked.verdict.is_well:
+    click.echo(table_of(result))
+    if not result.verdict.is_well:
         raise SystemExit(1)
 
 
-def table_of(soaked: Soaked) -> str:
+def table_of(result: SoakResult) -> str:
     """The table that the README quotes."""
-    verdict = soaked.verdict
+    verdict = result.verdict
     rows = {
-        "simulated": f"{soaked.hours:.1f} h in {soaked.seconds:.0f} s",
-        "captures": soaked.captures,
-        "faults met": f"{soaked.faults} of {soaked.kinds} kinds",
-        "restarts from the journal": soaked.restarts,
-        "pauses that a person ended": soaked.resumed,
-        "memory at a tenth, at the end": f"{soaked.memory_mb[0]:.1f} MB, {soaked.memory_mb[1]:.1f} MB",
-        "descriptors": f"{soaked.descriptors[0]}, {soaked.descriptors[1]}",
+        "simulated": f"{result.hours:.1f} h in {result.seconds:.0f} s",
+        "captures": result.captures,
+        "faults met": f"{result.faults} of {result.kinds} kinds",
+        "restarts from the journal": result.restarts,
+        "pauses that a person ended": result.resumed,
+        "memory at a tenth, at the end": f"{result.memory_mb[0]:.1f} MB, {result.memory_mb[1]:.1f} MB",
+        "descriptors": f"{result.descriptors[0]}, {result.descriptors[1]}",
         "frames lost": verdict.frames_lost,
         "results repeated, missing": f"{verdict.results_repeated}, {verdict.results_missing}",
-        "stray .part, seq gaps, open ends": f"{verdict.stray_parts}, {verdict.seq_gaps}, {verdict.open_ends}",
+        "leftover .part, seq gaps, open ends": f"{verdict.stray_parts}, {verdict.seq_gaps}, {verdict.open_ends}",
     }
     return "\n".join(["| soak | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())])

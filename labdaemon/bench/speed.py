@@ -19,12 +19,12 @@ from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.folder import open_folder
 from labdaemon.processing.frame import measure_raw
+from labdaemon.processing.matched_filter import BlurredTarget
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.prepare import PreparedCamera
-from labdaemon.processing.search import find_again
 from labdaemon.processing.sharpset import prepare_sharp
 from labdaemon.processing.shift import frame_shift
-from labdaemon.processing.smears import Smear
+from labdaemon.processing.target_search import locate_targets
 
 T = TypeVar("T")
 
@@ -94,7 +94,7 @@ def time_frames(place: Path, seed: int, repeat: int) -> SpeedResult:
     decode_s = _fastest(repeat, lambda: read_frame(file))
     frame = read_frame(file)
     frame_s = _fastest(repeat, lambda: measure_raw(camera, [frame], [window], control=prepared.control))
-    looked = _Looked.at(camera, frame)
+    looked = _LocatedFrame.at(camera, frame)
     by_targets = [
         (count, _fastest(repeat, lambda count=count: looked.fit(count)))  # type: ignore[misc]
         for count in (TARGETS // 4, TARGETS // 2, TARGETS)
@@ -104,7 +104,7 @@ def time_frames(place: Path, seed: int, repeat: int) -> SpeedResult:
         motion = length * 6.1 / 24.0
         other = folder_maker()(place / f"{length}", targets=per_length, amplitude_mm=(motion, motion), **common)
         its = prepare_sharp(other).cameras[0]
-        alone = _Looked.at(its, read_frame(other / "captures" / "c1" / f"{its.name}.dng"))
+        alone = _LocatedFrame.at(its, read_frame(other / "captures" / "c1" / f"{its.name}.dng"))
         by_length.append((length, _fastest(repeat, lambda alone=alone: alone.fit(per_length))))  # type: ignore[misc]
     return SpeedResult(
         targets=len(camera.targets),
@@ -119,18 +119,18 @@ def time_frames(place: Path, seed: int, repeat: int) -> SpeedResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looked:
-    """A frame whose targets have been found again, ready to be fitted."""
+class _LocatedFrame:
+    """A frame whose targets are located, ready to be fitted."""
 
     camera: PreparedCamera
     frame: RawFrame
-    smears: Sequence[Smear]
+    smears: Sequence[BlurredTarget]
     defocus: Defocus | None
 
     @classmethod
-    def at(cls, camera: PreparedCamera, frame: RawFrame) -> _Looked:
+    def at(cls, camera: PreparedCamera, frame: RawFrame) -> _LocatedFrame:
         grey = frame.lazy_grey()
-        found = find_again(grey, camera.sought)
+        found = locate_targets(grey, camera.expected)
         blur = frame_shift(frame, grey, camera.control).defocus
         return cls(camera, frame, [smear for smear in found if smear is not None], blur)
 
@@ -154,7 +154,7 @@ def _fastest(repeat: int, function: Callable[[], T]) -> float:
     function()
     times = []
     for _ in range(repeat):
-        # Processor time: what one core has to do, whatever else the machine is doing, and no thread goes uncounted.
+        # Processor time: what one core has to do, independent of other load, and with every thread counted.
         begun = time.process_time()
         function()
         times.append(time.process_time() - begun)

@@ -1,4 +1,4 @@
-"""Figures of merit of a set of pairs."""
+"""ErrorStatistics of merit of a set of pairs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special
 
 from labdaemon.bench.bound import BoundTable
-from labdaemon.bench.pairs import Pair
+from labdaemon.bench.pairs import MotionComparison
 from labdaemon.blur.patch.pixels import FloatArray
 
 SEEN_MM = 0.25
@@ -18,7 +18,7 @@ SEEN_MM = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class ErrorStatistics:
     """Errors of the semi-amplitude and what belongs to them. NaN where nothing was compared.
 
     Attributes
@@ -63,8 +63,8 @@ class Figures:
     relative_p95: float
 
 
-def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
-    """Figures of merit.
+def figures(pairs: Sequence[MotionComparison], bounds: BoundTable | None = None) -> ErrorStatistics:
+    """ErrorStatistics of merit.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
     direction_bound = [bounds.direction_deg(pair.diameter_mm, pair.true_mm) for pair in moving] if bounds else []
     every = [bounds.at(pair.diameter_mm, pair.true_mm) for pair in good] if bounds else []
     direction = [pair.direction_error_deg for pair in moving]
-    return Figures(
+    return ErrorStatistics(
         targets=len(pairs),
         compared=len(good),
         mean_mm=float(error.mean()) if error.size else math.nan,
@@ -103,7 +103,7 @@ def figures(pairs: Sequence[Pair], bounds: BoundTable | None = None) -> Figures:
     )
 
 
-def median_phase_error_deg(pairs: Sequence[Pair]) -> float:
+def median_phase_error_deg(pairs: Sequence[MotionComparison]) -> float:
     """Median absolute phase error of the pairs that can be compared."""
     return _quantile([abs(pair.phase_error_deg) for pair in pairs if pair.compared], 0.5)
 

@@ -14,7 +14,7 @@ from labdaemon.durable import PART
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class CampaignVerdict:
     """Counts of what must not be. All zero is well.
 
     Attributes
@@ -43,11 +43,11 @@ class Verdict:
         """Nothing of it."""
         return not any(getattr(self, field.name) for field in fields(self))
 
-    def __add__(self, other: Verdict) -> Verdict:
-        return Verdict(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
+    def __add__(self, other: CampaignVerdict) -> CampaignVerdict:
+        return CampaignVerdict(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
 
 
-def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bool = True) -> Verdict:
+def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bool = True) -> CampaignVerdict:
     """Look at a data folder whose daemon has ended.
 
     Parameters
@@ -64,7 +64,7 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bo
     with sqlite3.connect(f"file:{data / 'journal.db'}?mode=ro", uri=True) as journal:
         seqs = [row[0] for row in journal.execute("SELECT seq FROM events ORDER BY seq")]
         kept = journal.execute("SELECT path, size_bytes, sha256 FROM frames").fetchall()
-        told = [
+        published = [
             (campaign, json.loads(data)["step"])
             for campaign, data in journal.execute("SELECT campaign, data FROM events WHERE kind = 'envelope'")
         ]
@@ -77,9 +77,9 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bo
         (data / path).is_file() and hashlib.sha256((data / path).read_bytes()).hexdigest() == sha256
         for path, _, sha256 in kept
     )
-    a_step = Counter(told)
+    a_step = Counter(published)
     a_file = _captures_in(data)
-    return Verdict(
+    return CampaignVerdict(
         frames_lost=max(taken - whole - on_cards, 0),
         results_repeated=sum(count - 1 for count in a_step.values()) + sum(count - 1 for count in a_file.values()),
         results_missing=captures - len(a_step) + (captures - len(a_file) if has_files else 0),

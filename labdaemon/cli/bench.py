@@ -54,7 +54,7 @@ def accuracy(
     workers: int,
     as_json: bool,
 ) -> None:
-    """The published method and ours on the same rendered frames, beside the Cramér–Rao bound."""
+    """The published method and ours on the same rendered frames, compared with the Cramér–Rao bound."""
     from labdaemon.bench.accuracy import run_accuracy
     from labdaemon.bench.accuracy_text import document, lines
     from labdaemon.bench.cases import cases

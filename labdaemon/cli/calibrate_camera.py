@@ -10,14 +10,14 @@ import click
 import cv2
 from rich.console import Console
 
-from labdaemon.cli.parts import Parts
+from labdaemon.cli.progress_bars import ProgressBars
 from labdaemon.durable import write_durably
 from labdaemon.errors import StorageError, UsageError
 from labdaemon.geometry.lens import INTERIOR_NAMES
 from labdaemon.processing.boards import Charuco
 from labdaemon.processing.calibration import Calibration, board_files, calibrate, read_board
 from labdaemon.processing.photomodeler import calibrate_export
-from labdaemon.report.residuals import residual_picture
+from labdaemon.report.residuals import draw_residuals
 
 
 @click.command()
@@ -51,17 +51,17 @@ def camera(
     name = name or (folder.stem if folder.is_file() else folder.resolve().name)
     if re.fullmatch(r"[A-Za-z0-9_-]+", name) is None:
         raise UsageError(f"{name!r} cannot be a camera's name: give one with --name, of letters, digits, _ and -")
-    with Parts(Console(stderr=True)) as parts:
+    with ProgressBars(Console(stderr=True)) as bars:
         if folder.is_file():
-            parts("adjustment", 0, 1)
+            bars("adjustment", 0, 1)
             result = calibrate_export(folder)
         else:
-            pictures, notes = read_board(
-                board_files(folder), board, jpeg=jpeg, progress=lambda done, total: parts("photographs", done, total)
+            photographs, notes = read_board(
+                board_files(folder), board, jpeg=jpeg, progress=lambda done, total: bars("photographs", done, total)
             )
-            parts("adjustment", 0, 1)
-            result = calibrate(pictures, notes)
-        parts("adjustment", 1, 1)
+            bars("adjustment", 0, 1)
+            result = calibrate(photographs, notes)
+        bars("adjustment", 1, 1)
     table = camera_table(name, result)
     written = _write(out or (folder.parent if folder.is_file() else folder) / "results", name, table, result)
     for line in result.left_out:
@@ -82,7 +82,7 @@ def camera_table(name: str, result: Calibration) -> str:
     def numbers(values: tuple[float, ...], digits: int) -> str:
         return "[" + ", ".join(f"{value:.{digits}f}" for value in values) + "]"
 
-    def deviations(first: int, last: int) -> str:
+    def standard_deviations(first: int, last: int) -> str:
         return "# sd " + ", ".join(f"{value:.2g}" for value in sd[first:last])
 
     k1, k2, p1, p2, k3 = 4, 5, 6, 7, 8
@@ -92,8 +92,8 @@ def camera_table(name: str, result: Calibration) -> str:
         f"{result.degrees_of_freedom} degrees of freedom\n"
         f"[cameras.{name}]\n"
         f"image_size = [{lens.image_size[0]}, {lens.image_size[1]}]\n"
-        f"focal_px = {numbers(lens.focal_px, 3)}  {deviations(0, 2)}\n"
-        f"principal_point_px = {numbers(lens.principal_point_px, 3)}  {deviations(2, 4)}\n"
+        f"focal_px = {numbers(lens.focal_px, 3)}  {standard_deviations(0, 2)}\n"
+        f"principal_point_px = {numbers(lens.principal_point_px, 3)}  {standard_deviations(2, 4)}\n"
         f"distortion = {numbers(lens.distortion, 8)}  # k1 k2 p1 p2 k3, sd {spread}\n"
     )
 
@@ -117,12 +117,12 @@ def _summary(name: str, result: Calibration, written: tuple[Path, Path]) -> dict
 
 
 def _write(folder: Path, name: str, table: str, result: Calibration) -> tuple[Path, Path]:
-    """Write table and picture, each whole or not at all."""
-    toml, picture = folder / f"{name}.toml", folder / f"{name}-residuals.png"
-    drawn = residual_picture(result.lens.image_size, result.image_px, result.residuals_px, result.sigma0_px, name)
+    """Write table and image, each whole or not at all."""
+    toml, image = folder / f"{name}.toml", folder / f"{name}-residuals.png"
+    drawn = draw_residuals(result.lens.image_size, result.image_px, result.residuals_px, result.sigma0_px, name)
     try:
-        for path, content in ((toml, table.encode()), (picture, cv2.imencode(".png", drawn)[1].tobytes())):
+        for path, content in ((toml, table.encode()), (image, cv2.imencode(".png", drawn)[1].tobytes())):
             write_durably(path, content)
     except StorageError as exc:
         raise StorageError(f"{exc}; give another folder with --out") from exc
-    return toml, picture
+    return toml, image

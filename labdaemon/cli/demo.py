@@ -16,7 +16,7 @@ from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.report.accuracy import FLOOR_MM, Accuracy, summary
 
 if TYPE_CHECKING:
-    from labdaemon.cli.demo_lab import Lab
+    from labdaemon.cli.demo_lab import DemoLab
 
 THREE_MODES = """\
 # The first three modes of a four-storey frame: at rest, then one second at each resonance.
@@ -94,7 +94,7 @@ def _demo(out: Path, text: str, *, attended: bool) -> None:
     click.echo(f"Took     {time.monotonic() - began:.0f} s")
 
 
-def _run_campaign(lab: Lab, text: str, *, attended: bool) -> tuple[Path, list[dict[str, Any]]]:
+def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, list[dict[str, Any]]]:
     """Submit it and follow it to its end; its folder, and the data of its envelopes."""
     from labdaemon.cli.demo_lab import DemoFailed
     from labdaemon.cli.progress import Progress

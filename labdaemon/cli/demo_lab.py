@@ -26,7 +26,7 @@ END_S = 20.0
 """Longest that the daemon may take to bring the table to rest and end."""
 
 
-class SimulatedRig(Protocol):
+class DemoRig(Protocol):
     """What the entry point ``rig`` of ``labdaemon.simulators`` starts."""
 
     def write_files(self, folder: Path, *, events: str, commands: str, data: str) -> Path:
@@ -47,10 +47,10 @@ class SimulatedRig(Protocol):
 
 
 class DemoFailed(LabdaemonError):
-    """Something of the demo's own laboratory did not work."""
+    """The demo's own laboratory failed."""
 
 
-class Lab:
+class DemoLab:
     """A simulated rig and a daemon on it.
 
     Attributes
@@ -61,7 +61,7 @@ class Lab:
         Connected to the daemon.
     """
 
-    def __init__(self, rig: SimulatedRig, daemon: subprocess.Popen[str], client: Client) -> None:
+    def __init__(self, rig: DemoRig, daemon: subprocess.Popen[str], client: Client) -> None:
         self.rig, self.client = rig, client
         self._daemon = daemon
 
@@ -91,7 +91,7 @@ class Lab:
 
 
 @contextlib.contextmanager
-def laboratory(out: Path) -> Iterator[Lab]:
+def laboratory(out: Path) -> Iterator[DemoLab]:
     """Start rig and daemon; at the end, however it comes, the table is at rest and both processes are gone.
 
     Parameters
@@ -116,7 +116,7 @@ def laboratory(out: Path) -> Iterator[Lab]:
         stack.callback(_leave_at_rest, rig, daemon, config, log)
         addresses = _addresses(daemon)
         client = stack.enter_context(Client(addresses["commands"], addresses["events"], timeout_s=30.0))
-        yield Lab(rig, daemon, client)
+        yield DemoLab(rig, daemon, client)
         _end(daemon)
         if rig.table()["moving"]:
             raise DemoFailed("the daemon ended and left the table moving")
@@ -136,9 +136,9 @@ def simulator(name: str) -> Any:
     return found[name].load()
 
 
-def _start_rig() -> SimulatedRig:
+def _start_rig() -> DemoRig:
     try:
-        rig: SimulatedRig = simulator("rig")()
+        rig: DemoRig = simulator("rig")()
     except (RuntimeError, ValueError, OSError) as exc:
         raise DemoFailed(f"the simulated rig did not start: {exc}") from exc
     return rig
@@ -165,12 +165,12 @@ def _addresses(daemon: subprocess.Popen[str]) -> dict[str, str]:
         addresses: dict[str, str] = json.loads(line)
     except json.JSONDecodeError:
         status = daemon.poll()
-        told = "did not serve in time" if status is None else f"ended with exit status {status}"
-        raise DemoFailed(f"the daemon {told}") from None
+        reason = "did not serve in time" if status is None else f"ended with exit status {status}"
+        raise DemoFailed(f"the daemon {reason}") from None
     return addresses
 
 
-def _leave_at_rest(rig: SimulatedRig, daemon: subprocess.Popen[str], config: Path, log: IO[str]) -> None:
+def _leave_at_rest(rig: DemoRig, daemon: subprocess.Popen[str], config: Path, log: IO[str]) -> None:
     """End the daemon; if it left the table moving (it was killed), do what systemd would do after it."""
     _end(daemon)
     with contextlib.suppress(OSError, EOFError, ValueError):

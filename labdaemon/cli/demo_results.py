@@ -1,4 +1,4 @@
-"""What `demo` makes of a finished campaign: truth beside results, overlays, accuracy and the page."""
+"""What `demo` makes of a finished campaign: truth, results, overlays, accuracy and the page."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def check_same_numbers(received: Sequence[Mapping[str, Any]], results: Path) -> 
 
 
 def draw_overlays(folder: Path, results: Path) -> None:
-    """One picture a capture and camera: the vectors on the photograph."""
+    """One image a capture and camera: the vectors on the photograph."""
     rows: dict[tuple[str, str], list[Row]] = {}
     for row in read_csv(results / "measurements.csv"):
         rows.setdefault((str(row["capture"]), str(row["camera"])), []).append(row)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from labdaemon.blur.motion import ExposureWindow
-from labdaemon.cli.parts import Parts, print_notes
+from labdaemon.cli.progress_bars import ProgressBars, print_notes
 from labdaemon.errors import UsageError
 from labdaemon.processing.frame import measure_frames
 from labdaemon.processing.prepare import name_dots, prepare_camera, prepare_patches
@@ -49,7 +49,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--frequency", type=click.FloatRange(min=0, min_open=True), help="Of the excitation, hertz.")
 @click.option("--exposure", type=click.FloatRange(min=0, min_open=True), help="True exposure time, seconds.")
 @click.option("--phase", type=float, help="Excitation phase at the opening, radians.")
-@click.option("--overlay", type=click.Path(file_okay=False, path_type=Path), help="Folder for pictures with vectors.")
+@click.option("--overlay", type=click.Path(file_okay=False, path_type=Path), help="Folder for overlay images.")
 def measure(
     blurred: tuple[Path, ...],
     sharp: tuple[Path, ...],
@@ -68,13 +68,13 @@ def measure(
     if twice:
         raise UsageError(f"two blurred frames are called {twice[0]}; rename one, their names go into the results")
     console = Console(stderr=True)
-    with Parts(console) as parts:
-        parts("sharp frames", 0, 1)
+    with ProgressBars(console) as bars:
+        bars("sharp frames", 0, 1)
         if patches:
             camera = prepare_patches(sharp, patches)
         else:
             camera = name_dots(prepare_camera("", sharp, keep_dots=method == "paper"))
-        parts("sharp frames", 1, 1)
+        bars("sharp frames", 1, 1)
         rows: list[Row] = []
         notes = list(camera.notes)
         for done, path in enumerate(blurred, start=1):
@@ -84,7 +84,7 @@ def measure(
             notes += result.notes
             if overlay is not None:
                 write_overlay(path, mine, overlay_path(overlay, path.stem, ""), path.stem)
-            parts("blurred frames", done, len(blurred))
+            bars("blurred frames", done, len(blurred))
     if out is None:
         click.echo(csv_text(MEASUREMENT_COLUMNS, rows), nl=False)
     else:

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from labdaemon.cli.parts import Parts, print_notes
+from labdaemon.cli.progress_bars import ProgressBars, print_notes
 from labdaemon.orbit_size import size_mm
 from labdaemon.processing.envelope import CaptureResult
 from labdaemon.processing.pool import WorkerPool
@@ -27,15 +27,15 @@ from labdaemon.report.overlay import write_overlays
 @click.option("--method", type=click.Choice(["fit", "paper"]), help="The rig file's, or fit, if not given.")
 @click.option("--overlay/--no-overlay", default=True, help="Draw the vectors on each frame.")
 def process(folder: Path, out: Path | None, workers: int, method: str | None, overlay: bool) -> None:
-    """Measure all captures of a data-set FOLDER: measurements.csv in pixels, envelope.csv in millimetres, pictures."""
+    """Measure all captures of a data-set FOLDER: measurements.csv in pixels, envelope.csv in millimetres, overlays."""
     console = Console(stderr=True)
-    with WorkerPool(workers) as pool, Parts(console) as parts:
-        result = process_folder(folder, out, pool=pool, method=method, progress=parts)
+    with WorkerPool(workers) as pool, ProgressBars(console) as bars:
+        result = process_folder(folder, out, pool=pool, method=method, progress=bars)
         if overlay:
             tasks = write_overlays(folder, result, pool.submit)
             for done, task in enumerate(tasks, start=1):
                 task.result()
-                parts("pictures", done, len(tasks))
+                bars("overlays", done, len(tasks))
     _summary(result, console)
 
 

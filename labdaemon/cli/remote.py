@@ -48,7 +48,7 @@ def ask(address: str, method: str, *, timeout_s: float = 10.0, **params: Any) ->
 
 
 def _knock(address: str) -> None:
-    """Fail at once where nobody listens, instead of after the time a command may take."""
+    """Fail at once where no daemon listens, instead of after the time a command may take."""
     host, _, port = address.removeprefix("tcp://").rpartition(":")
     if not address.startswith("tcp://") or not port.isdigit() or int(port) >= 1 << 16:
         raise UsageError(f"--address {address}: write tcp://127.0.0.1:PORT")
@@ -56,7 +56,7 @@ def _knock(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), timeout=3.0).close()
     except OSError as exc:
         raise NoDaemon(
-            f"nobody listens at {address} ({exc.strerror or exc}): is `labdaemon run` running there?"
+            f"no daemon listens at {address} ({exc.strerror or exc}): is `labdaemon run` running there?"
         ) from None
 
 

@@ -61,7 +61,7 @@ class Charuco:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardPicture:
+class BoardImage:
     """What one photograph shows of the board.
 
     Attributes
@@ -102,8 +102,8 @@ class SheetDots:
     """For each of `RING_KINDS`: name and row of the dot in its middle."""
 
 
-def load_picture(file: Path, *, jpeg: bool) -> tuple[Grey, tuple[int, int], str]:
-    """Linear grey picture of a photograph, its size, and the body's serial number.
+def load_grey(file: Path, *, jpeg: bool) -> tuple[Grey, tuple[int, int], str]:
+    """Linear grey image of a photograph, its size, and the body's serial number.
 
     Parameters
     ----------
@@ -128,23 +128,23 @@ def load_picture(file: Path, *, jpeg: bool) -> tuple[Grey, tuple[int, int], str]
             "(or pass --jpeg for a camera that measures in JPEG)",
             file=file,
         )
-    picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if picture is None:
+    image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
         raise DataError("cannot be decoded; the file is damaged", file=file)
-    height, width = picture.shape
-    return ((picture / 255.0) ** DISPLAY_GAMMA).astype(np.float32), (width, height), ""
+    height, width = image.shape
+    return ((image / 255.0) ** DISPLAY_GAMMA).astype(np.float32), (width, height), ""
 
 
-def charuco_picture(file: Path, board: Charuco, *, jpeg: bool = False) -> BoardPicture | None:
+def charuco_image(file: Path, board: Charuco, *, jpeg: bool = False) -> BoardImage | None:
     """Corners of a ChArUco board in a photograph; None when it shows too few."""
-    grey, size, serial = load_picture(file, jpeg=jpeg)
+    grey, size, serial = load_grey(file, jpeg=jpeg)
     pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker, dictionary(board.family))
     corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(_for_eyes(grey))
     if ids is None or len(ids) < _FEWEST_POINTS:
         return None
     numbers = np.asarray(ids).ravel()
     places = np.asarray(pattern.getChessboardCorners(), dtype=float)[numbers, :2]
-    return BoardPicture(
+    return BoardImage(
         file,
         size,
         serial,
@@ -157,7 +157,7 @@ def charuco_picture(file: Path, board: Charuco, *, jpeg: bool = False) -> BoardP
 
 def sheet_dots(file: Path, *, jpeg: bool = False) -> SheetDots:
     """Dots and rings of a sheet in a photograph."""
-    grey, size, serial = load_picture(file, jpeg=jpeg)
+    grey, size, serial = load_grey(file, jpeg=jpeg)
     dots = find_dots(grey)
     centres = np.array([[dot.x_px, dot.y_px] for dot in dots]).reshape(-1, 2)
     rings = []
@@ -168,8 +168,8 @@ def sheet_dots(file: Path, *, jpeg: bool = False) -> SheetDots:
     return SheetDots(file, size, serial, centres, np.array([dot.semi_major_px for dot in dots]), tuple(rings))
 
 
-def sheet_pictures(sheets: Sequence[SheetDots]) -> list[BoardPicture]:
-    """Name the dots of a sheet alike in all its photographs.
+def sheet_images(sheets: Sequence[SheetDots]) -> list[BoardImage]:
+    """Give the dots of a sheet the same names in all its photographs.
 
     The sheet's dots lie on a square grid of which coded rings are nodes; two rings in common place one photograph's
     grid on another's. Photographs that cannot be placed are left out.
@@ -181,17 +181,17 @@ def sheet_pictures(sheets: Sequence[SheetDots]) -> list[BoardPicture]:
     """
     lattices = [grow_lattice(sheet.centres_px) for sheet in sheets]
     nodes = [{row: node for node, row in lattice.items()} for lattice in lattices]
-    best: list[BoardPicture] = []
+    best: list[BoardImage] = []
     for kind in range(len(RING_KINDS)):
         marks = [_marks(sheet.rings[kind], known) for sheet, known in zip(sheets, nodes, strict=True)]
-        pictures = []
+        images = []
         for sheet, lattice, placement in zip(sheets, lattices, place_lattices(marks), strict=True):
             if placement is None or len(lattice) < _FEWEST_POINTS:
                 continue
             places = [apply_placement(node, placement) for node in lattice]
             rows = list(lattice.values())
-            pictures.append(
-                BoardPicture(
+            images.append(
+                BoardImage(
                     sheet.file,
                     sheet.size,
                     sheet.serial,
@@ -201,8 +201,8 @@ def sheet_pictures(sheets: Sequence[SheetDots]) -> list[BoardPicture]:
                     sheet.radius_px[rows],
                 )
             )
-        if len(pictures) > len(best):
-            best = pictures
+        if len(images) > len(best):
+            best = images
     if len(best) < 2:
         raise DataError(
             "no sheet of dots with coded rings was recognised in two photographs: at least two rings must be in view "

@@ -21,7 +21,7 @@ from labdaemon.geometry.network import Network, Pose
 from labdaemon.geometry.oriented_camera import rotation_from_vector
 from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors, select_observations
 from labdaemon.imaging.eccentricity import centre_shift
-from labdaemon.processing.boards import BoardPicture, Charuco, charuco_picture, sheet_dots, sheet_pictures
+from labdaemon.processing.boards import BoardImage, Charuco, charuco_image, sheet_dots, sheet_images
 
 SUFFIXES = frozenset(
     f".{kind}"
@@ -55,7 +55,7 @@ class Calibration:
         Standard deviation of a measured image coordinate, and how many were superfluous.
     files
         Photographs used.
-    image_px, residuals_px, picture
+    image_px, residuals_px, photograph
         (n, 2) points and residuals (measured minus computed), and (n,) which file each is of.
     left_out
         Photographs and points not used, with the reason.
@@ -70,7 +70,7 @@ class Calibration:
     files: tuple[Path, ...]
     image_px: FloatArray
     residuals_px: FloatArray
-    picture: NDArray[np.intp]
+    photograph: NDArray[np.intp]
     left_out: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -99,7 +99,7 @@ def read_board(
     *,
     jpeg: bool = False,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[list[BoardPicture], list[str]]:
+) -> tuple[list[BoardImage], list[str]]:
     """Find the board in every photograph.
 
     Parameters
@@ -123,47 +123,47 @@ def read_board(
     DataError
         A file cannot be read, is of another size or body than the first, or too few show the board.
     """
-    found: list[BoardPicture] = []
+    found: list[BoardImage] = []
     sheets = []
     for done, file in enumerate(files, start=1):
         if charuco is not None:
-            picture = charuco_picture(file, charuco, jpeg=jpeg)
-            found += [picture] if picture is not None else []
+            photograph = charuco_image(file, charuco, jpeg=jpeg)
+            found += [photograph] if photograph is not None else []
         else:
             sheets.append(sheet_dots(file, jpeg=jpeg))
         if progress is not None:
             progress(done, len(files))
     if charuco is None:
-        found = sheet_pictures(sheets)
+        found = sheet_images(sheets)
     if len(found) < FEWEST_PICTURES:
         raise DataError(
             f"the board was recognised in {len(found)} of {len(files)} photographs; {FEWEST_PICTURES} are needed",
             file=files[0].parent,
         )
     first = found[0]
-    for picture in found:
-        if picture.size != first.size:
+    for photograph in found:
+        if photograph.size != first.size:
             raise DataError(
                 "is {} × {} px, {} is {} × {} px: one camera and one format at a time".format(
-                    *picture.size, first.file.name, *first.size
+                    *photograph.size, first.file.name, *first.size
                 ),
-                file=picture.file,
+                file=photograph.file,
             )
-        if picture.serial and first.serial and picture.serial != first.serial:
+        if photograph.serial and first.serial and photograph.serial != first.serial:
             raise DataError(
-                f"is from body {picture.serial}, {first.file.name} from {first.serial}: one camera at a time",
-                file=picture.file,
+                f"is from body {photograph.serial}, {first.file.name} from {first.serial}: one camera at a time",
+                file=photograph.file,
             )
-    used = {picture.file for picture in found}
+    used = {photograph.file for photograph in found}
     return found, [f"{file.name}: the board was not recognised" for file in files if file not in used]
 
 
-def calibrate(pictures: Sequence[BoardPicture], notes: Sequence[str] = ()) -> Calibration:
+def calibrate(photographs: Sequence[BoardImage], notes: Sequence[str] = ()) -> Calibration:
     """Adjust lens, board and camera positions to what the photographs show.
 
     Parameters
     ----------
-    pictures
+    photographs
         From `read_board`.
     notes
         Photographs left out so far.
@@ -173,17 +173,17 @@ def calibrate(pictures: Sequence[BoardPicture], notes: Sequence[str] = ()) -> Ca
     DataError
         The photographs do not determine the lens.
     """
-    network, names = _network(pictures, *_rough(pictures))
+    network, names = _network(photographs, *_rough(photographs))
     adjustment, _, gross = adjust_without_gross_errors(network, names, max_errors=MOST_GROSS_ERRORS)
-    if any(np.any(picture.radius_px > 0) for picture in pictures):
+    if any(np.any(photograph.radius_px > 0) for photograph in photographs):
         lens, poses = adjustment.network.lenses[0], adjustment.network.poses
         assert isinstance(lens, Lens)
-        network, names = _network(_circle_centres(pictures, lens, poses), lens, poses)
+        network, names = _network(_circle_centres(photographs, lens, poses), lens, poses)
         adjustment, _, gross = adjust_without_gross_errors(network, names, max_errors=MOST_GROSS_ERRORS)
     final = adjustment.network
     lens = final.lenses[0]
     assert isinstance(lens, Lens)
-    files = tuple(picture.file for picture in pictures)
+    files = tuple(photograph.file for photograph in photographs)
     return Calibration(
         lens,
         adjustment.interior_sd(),
@@ -237,11 +237,11 @@ def weaknesses(lens: Lens, sd: FloatArray, poses: Sequence[Pose], image_px: Floa
     return found
 
 
-def _rough(pictures: Sequence[BoardPicture]) -> tuple[Lens, tuple[Pose, ...]]:
+def _rough(photographs: Sequence[BoardImage]) -> tuple[Lens, tuple[Pose, ...]]:
     """Starting values by OpenCV's own calibration, which wants a flat board."""
-    size = pictures[0].size
-    boards = [np.column_stack([p.board, np.zeros(len(p.names))]).astype(np.float32) for p in pictures]
-    images = [picture.image_px.astype(np.float32) for picture in pictures]
+    size = photographs[0].size
+    boards = [np.column_stack([p.board, np.zeros(len(p.names))]).astype(np.float32) for p in photographs]
+    images = [photograph.image_px.astype(np.float32) for photograph in photographs]
     try:
         _, matrix, distortion, turns, shifts = cv2.calibrateCamera(boards, images, size, None, None)
         matrix = np.asarray(matrix, dtype=float)
@@ -250,7 +250,7 @@ def _rough(pictures: Sequence[BoardPicture]) -> tuple[Lens, tuple[Pose, ...]]:
     except (cv2.error, DataError) as exc:
         raise DataError(
             "no lens explains these photographs of the board: is it one board, one camera, one focus?",
-            file=pictures[0].file.parent,
+            file=photographs[0].file.parent,
         ) from exc
     poses = []
     for turn, shift in zip(turns, shifts, strict=True):
@@ -259,9 +259,9 @@ def _rough(pictures: Sequence[BoardPicture]) -> tuple[Lens, tuple[Pose, ...]]:
     return lens, tuple(poses)
 
 
-def _network(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequence[Pose]) -> tuple[Network, tuple[str, ...]]:
+def _network(photographs: Sequence[BoardImage], lens: Lens, poses: Sequence[Pose]) -> tuple[Network, tuple[str, ...]]:
     """Free network of all points seen twice, in steps of the board's grid."""
-    place = {name: tuple(xy) for p in pictures for name, xy in zip(p.names, p.board.tolist(), strict=True)}
+    place = {name: tuple(xy) for p in photographs for name, xy in zip(p.names, p.board.tolist(), strict=True)}
     names = tuple(sorted(place))
     index = {name: row for row, name in enumerate(names)}
     network = Network(
@@ -269,9 +269,9 @@ def _network(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequence[Pose]
         tuple(poses),
         np.zeros(len(poses), dtype=np.intp),
         np.array([[*place[name], 0.0] for name in names]),
-        np.concatenate([np.full(len(p.names), k) for k, p in enumerate(pictures)]),
-        np.array([index[name] for p in pictures for name in p.names], dtype=np.intp),
-        np.concatenate([p.image_px for p in pictures]),
+        np.concatenate([np.full(len(p.names), k) for k, p in enumerate(photographs)]),
+        np.array([index[name] for p in photographs for name in p.names], dtype=np.intp),
+        np.concatenate([p.image_px for p in photographs]),
         SD_PX,
         free_interior=(np.ones(9, dtype=np.bool_),),
         datum=True,
@@ -279,17 +279,17 @@ def _network(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequence[Pose]
     return select_observations(network, names)
 
 
-def _circle_centres(pictures: Sequence[BoardPicture], lens: Lens, poses: Sequence[Pose]) -> list[BoardPicture]:
-    """Pictures with every dot's centre in place of its ellipse's, which perspective sets apart."""
+def _circle_centres(photographs: Sequence[BoardImage], lens: Lens, poses: Sequence[Pose]) -> list[BoardImage]:
+    """Photographs with every dot's centre in place of its ellipse's, which differs from it under perspective."""
     result = []
-    for picture, pose in zip(pictures, poses, strict=True):
-        board = np.column_stack([picture.board, np.zeros(len(picture.names))])
+    for photograph, pose in zip(photographs, poses, strict=True):
+        board = np.column_stack([photograph.board, np.zeros(len(photograph.names))])
         local = (board - pose.position) @ pose.rotation.T
-        radius = float(np.median(picture.radius_px * local[:, 2])) / float(np.mean(lens.focal_px))
+        radius = float(np.median(photograph.radius_px * local[:, 2])) / float(np.mean(lens.focal_px))
         normals = np.broadcast_to(pose.rotation[:, 2], local.shape)
         shift = centre_shift(local, normals, np.full(len(local), radius))
         pixels = np.einsum("nij,nj->ni", lens.distort_jacobian(local[:, :2] / local[:, 2:]), shift)
-        result.append(replace(picture, image_px=picture.image_px + pixels))
+        result.append(replace(photograph, image_px=photograph.image_px + pixels))
     return result
 
 

@@ -1,4 +1,4 @@
-"""Control targets in a camera's sharp frames: read, measured, and kept as pictures to be compared with later frames."""
+"""Control targets in a camera's sharp frames: read, measured, and kept as small images for later frames."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ControlTargets:
     sharp
         What they look like, to be compared with later frames.
     thumbnails
-        The same as small pictures, to be found again.
+        The same as small images, to be located in later frames.
     """
 
     family: str
@@ -62,7 +62,7 @@ class ControlTargets:
 
 
 def check_family(family: str, source: Path) -> None:
-    """Raise `ConfigError` for a kind of control target that nobody can read."""
+    """Raise `ConfigError` for a kind of control target that cannot be read."""
     if family not in families() and ring_bits(family) is None:
         raise ConfigError(
             f"no control targets are called {family!r}; there are {', '.join([*families(), *_RINGS])}",
@@ -80,7 +80,7 @@ def ring_bits(family: str) -> int | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _DetectedControlTarget:
     """A control target of either kind."""
 
     name: str
@@ -105,7 +105,7 @@ def find_control(
     Parameters
     ----------
     frame, frames, grey
-        The mean of the sharp frames, each of them, and the mean as a grey picture.
+        The mean of the sharp frames, each of them, and the mean as a grey image.
     family
         Their kind.
     lens
@@ -125,7 +125,7 @@ def find_control(
         box = _box(one, frame.size)
         if box is None:
             continue
-        cuts = [_rimmed(each, box) for each in frames]
+        cuts = [_cut_with_rim(each, box) for each in frames]
         target = fit_sharp(one.dot, cuts) if one.dot is not None else make_textured_patch(cuts, box, name=one.name)
         kept.append(one)
         sharp.append(target)
@@ -142,7 +142,7 @@ def find_control(
     )
 
 
-def read_places(frame: RawFrame, family: str) -> dict[str, FloatArray]:
+def read_control_places(frame: RawFrame, family: str) -> dict[str, FloatArray]:
     """Where control targets are in a later frame that shifted far; those seen twice are left out."""
     bits = ring_bits(family)
     seen: Sequence[Tag | Ring] = find_tags(frame, family) if bits is None else find_rings(frame, bits=bits)
@@ -154,13 +154,13 @@ def read_places(frame: RawFrame, family: str) -> dict[str, FloatArray]:
     return {name: place for name, place in places.items() if name not in twice}
 
 
-def _tags(frame: RawFrame, family: str, lens: Lens | None) -> list[_Seen]:
+def _tags(frame: RawFrame, family: str, lens: Lens | None) -> list[_DetectedControlTarget]:
     seen = []
     for tag in by_name(find_tags(frame, family), where=str(frame.path)).values():
         middle = tag.corners_px.mean(axis=0)
         sides = np.hypot(*(tag.corners_px - np.roll(tag.corners_px, 1, axis=0)).T)
         seen.append(
-            _Seen(
+            _DetectedControlTarget(
                 tag.name,
                 tag.centre_px if lens is None else _centre(tag, lens),
                 float(np.hypot(tag.sd_px, SD_CENTRE_PX)) if tag.measured else SD_UNFITTED_PX,
@@ -171,8 +171,8 @@ def _tags(frame: RawFrame, family: str, lens: Lens | None) -> list[_Seen]:
     return seen
 
 
-def _rings(frame: RawFrame, frames: Sequence[RawFrame], grey: Grey, family: str) -> list[_Seen]:
-    seen: dict[str, _Seen] = {}
+def _rings(frame: RawFrame, frames: Sequence[RawFrame], grey: Grey, family: str) -> list[_DetectedControlTarget]:
+    seen: dict[str, _DetectedControlTarget] = {}
     for ring in find_rings(grey, bits=ring_bits(family) or BITS[0]):
         if ring.name in seen:
             raise DataError(f"ring {ring.name} is in view twice; cover or remove one", file=frame.path)
@@ -183,7 +183,9 @@ def _rings(frame: RawFrame, frames: Sequence[RawFrame], grey: Grey, family: str)
         if not fitted.usable:
             continue
         sd = float(np.hypot(np.sqrt(np.trace(fitted.covariance_px2) / 2), SD_CENTRE_PX))
-        seen[ring.name] = _Seen(ring.name, fitted.centre_px, sd, 2 * dot.semi_major_px, ring.outline_px, dot)
+        seen[ring.name] = _DetectedControlTarget(
+            ring.name, fitted.centre_px, sd, 2 * dot.semi_major_px, ring.outline_px, dot
+        )
     return list(seen.values())
 
 
@@ -193,7 +195,7 @@ def _centre(tag: Tag, lens: Lens) -> FloatArray:
     return centre if np.isfinite(centre).all() else tag.centre_px
 
 
-def _box(one: _Seen, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
+def _box(one: _DetectedControlTarget, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
     """(x, y, width, height) of what is compared with later frames: the middle of a large target, all of a small one."""
     low, high = one.outline.min(axis=0), one.outline.max(axis=0)
     if one.dot is not None:
@@ -205,7 +207,7 @@ def _box(one: _Seen, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
     return (x0, y0, x1 - x0 + 1, y1 - y0 + 1) if min(x1 - x0, y1 - y0) >= 12 else None
 
 
-def _rimmed(frame: RawFrame, box: tuple[int, int, int, int]) -> Patch:
+def _cut_with_rim(frame: RawFrame, box: tuple[int, int, int, int]) -> Patch:
     """The box with a rim: what lies outside is blurred into it."""
     width, height = frame.size
     x0, y0 = max(box[0] - RIM_PX, 0), max(box[1] - RIM_PX, 0)

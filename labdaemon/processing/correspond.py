@@ -2,7 +2,7 @@
 
 Each pair of dots in two cameras, with whatever other cameras see at the point where their rays meet, is a candidate
 target. It costs what its rays miss each other by and what its apparent sizes disagree with its distances; the set of
-candidates that explains most dots at least cost is an integer program, solved exactly for every knot of candidates
+candidates that explains most dots at least cost is an integer program, solved exactly for every cluster of candidates
 that compete for dots. Where the runner-up is hardly worse the match is a guess, and is marked.
 """
 
@@ -36,7 +36,7 @@ CLEAR = 9.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenDots:
+class DetectedDots:
     """The dots of one camera's sharp frame.
 
     Attributes
@@ -74,7 +74,7 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Candidate:
+class _TrackCandidate:
     dots: tuple[int, ...]
     place_mm: FloatArray
     cost: float
@@ -85,7 +85,7 @@ class _Candidate:
         return GATE * (sum(dot >= 0 for dot in self.dots) - 1) - self.cost
 
 
-def meet(views: Sequence[OrientedCamera], pixels: FloatArray) -> FloatArray:
+def intersect_rays(views: Sequence[OrientedCamera], pixels: FloatArray) -> FloatArray:
     """Intersect rays in the least-squares sense.
 
     Parameters
@@ -115,7 +115,7 @@ def meet(views: Sequence[OrientedCamera], pixels: FloatArray) -> FloatArray:
     return place
 
 
-def correspond(cameras: Sequence[SeenDots], diameters_mm: Sequence[float]) -> list[Track]:
+def correspond(cameras: Sequence[DetectedDots], diameters_mm: Sequence[float]) -> list[Track]:
     """Match the dots of two or more cameras.
 
     Parameters
@@ -130,18 +130,18 @@ def correspond(cameras: Sequence[SeenDots], diameters_mm: Sequence[float]) -> li
     list of Track
         Each seen by two cameras at least.
     """
-    sizes = _Sizes(np.log(np.asarray(diameters_mm, dtype=float) / 2), SD_SIZE)
+    sizes = _NominalSizes(np.log(np.asarray(diameters_mm, dtype=float) / 2), SD_SIZE)
     candidates = _candidates(cameras, sizes)
     tracks = _choose(candidates, cameras)
     if len(tracks) < 4:
         return tracks
-    # Dots printed together share what makes them larger or smaller than nominal; known, it tells near from far.
-    sizes = sizes.refined(np.array([_excess(cameras, track) for track in tracks]))
+    # Dots printed together are larger or smaller than nominal by a common factor; once known, sizes give the distance.
+    sizes = sizes.refine(np.array([_log_radius_mm(cameras, track) for track in tracks]))
     return _choose(_candidates(cameras, sizes), cameras)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sizes:
+class _NominalSizes:
     """(s,) logarithms of the radii in use (mm), and how well dots keep to them."""
 
     log_radii: FloatArray
@@ -151,14 +151,14 @@ class _Sizes:
         result: FloatArray = np.min((log_radius[:, None] - self.log_radii[None]) ** 2, axis=1) / self.sd**2
         return result
 
-    def refined(self, log_radius: FloatArray) -> _Sizes:
+    def refine(self, log_radius: FloatArray) -> _NominalSizes:
         off = log_radius - self.log_radii[np.argmin(np.abs(log_radius[:, None] - self.log_radii[None]), axis=1)]
         common = float(np.median(off))
         spread = 1.4826 * float(np.median(np.abs(off - common)))
-        return _Sizes(self.log_radii + common, float(np.clip(1.5 * spread, SD_ONE_SIZE, self.sd)))
+        return _NominalSizes(self.log_radii + common, float(np.clip(1.5 * spread, SD_ONE_SIZE, self.sd)))
 
 
-def _excess(cameras: Sequence[SeenDots], track: Track) -> float:
+def _log_radius_mm(cameras: Sequence[DetectedDots], track: Track) -> float:
     """Logarithm of a track's true radius, mm, by its apparent sizes and its distances."""
     values = [
         np.log(
@@ -172,31 +172,31 @@ def _excess(cameras: Sequence[SeenDots], track: Track) -> float:
     return float(np.mean(values))
 
 
-def _choose(candidates: list[_Candidate], cameras: Sequence[SeenDots]) -> list[Track]:
-    return [track for knot in _knots(candidates, cameras) for track in _solve(knot)]
+def _choose(candidates: list[_TrackCandidate], cameras: Sequence[DetectedDots]) -> list[Track]:
+    return [track for cluster in _conflict_clusters(candidates, cameras) for track in _solve(cluster)]
 
 
-def _candidates(cameras: Sequence[SeenDots], sizes: _Sizes) -> list[_Candidate]:
-    found: dict[tuple[int, ...], _Candidate] = {}
+def _candidates(cameras: Sequence[DetectedDots], sizes: _NominalSizes) -> list[_TrackCandidate]:
+    found: dict[tuple[int, ...], _TrackCandidate] = {}
     for p, q in combinations(range(len(cameras)), 2):
         first, second = cameras[p], cameras[q]
         i, j = (index.ravel() for index in np.indices((len(first.centres_px), len(second.centres_px))))
         if not i.size:
             continue
-        place = meet((first.view, second.view), np.stack([first.centres_px[i], second.centres_px[j]]))
+        place = intersect_rays((first.view, second.view), np.stack([first.centres_px[i], second.centres_px[j]]))
         dots = np.full((len(i), len(cameras)), -1)
         dots[:, p], dots[:, q] = i, j
         cost = _cost(cameras, dots, place, sizes)
         for k in np.flatnonzero(cost < GATE):
-            pair = _Candidate(tuple(int(d) for d in dots[k]), place[k], float(cost[k]))
+            pair = _TrackCandidate(tuple(int(d) for d in dots[k]), place[k], float(cost[k]))
             found[pair.dots] = pair
-            wider = _widened(cameras, pair, sizes)
+            wider = _widen(cameras, pair, sizes)
             if wider is not None:
                 found.setdefault(wider.dots, wider)
     return list(found.values())
 
 
-def _widened(cameras: Sequence[SeenDots], pair: _Candidate, sizes: _Sizes) -> _Candidate | None:
+def _widen(cameras: Sequence[DetectedDots], pair: _TrackCandidate, sizes: _NominalSizes) -> _TrackCandidate | None:
     """The candidate with the dots that other cameras have at its place; None if they have none that fits."""
     dots = list(pair.dots)
     for c, camera in enumerate(cameras):
@@ -211,13 +211,15 @@ def _widened(cameras: Sequence[SeenDots], pair: _Candidate, sizes: _Sizes) -> _C
     pixels = np.stack(
         [[cam.centres_px[d] if d >= 0 else (np.nan, np.nan)] for cam, d in zip(cameras, dots, strict=True)]
     )
-    place = meet([camera.view for camera in cameras], pixels)
+    place = intersect_rays([camera.view for camera in cameras], pixels)
     cost = float(_cost(cameras, np.array([dots]), place, sizes)[0])
     allowed = GATE * (sum(dot >= 0 for dot in dots) - 1)
-    return _Candidate(tuple(dots), place[0], cost) if cost < allowed else None
+    return _TrackCandidate(tuple(dots), place[0], cost) if cost < allowed else None
 
 
-def _cost(cameras: Sequence[SeenDots], dots: NDArray[np.intp], place: FloatArray, sizes: _Sizes) -> FloatArray:
+def _cost(
+    cameras: Sequence[DetectedDots], dots: NDArray[np.intp], place: FloatArray, sizes: _NominalSizes
+) -> FloatArray:
     """(n,) squared normalised discrepancies of rays and sizes; inf behind a camera."""
     total = np.zeros(len(dots))
     excess = np.full((len(dots), len(cameras)), np.nan)
@@ -242,50 +244,54 @@ def _cost(cameras: Sequence[SeenDots], dots: NDArray[np.intp], place: FloatArray
     return np.where(complete & np.isfinite(total), total, np.inf)
 
 
-def _knots(candidates: list[_Candidate], cameras: Sequence[SeenDots]) -> list[list[_Candidate]]:
+def _conflict_clusters(
+    candidates: list[_TrackCandidate], cameras: Sequence[DetectedDots]
+) -> list[list[_TrackCandidate]]:
     """Candidates grouped so that only those of one group compete for dots."""
     if not candidates:
         return []
     offsets = np.concatenate([[0], np.cumsum([len(camera.centres_px) for camera in cameras])])
-    rows, columns = _uses(candidates, offsets)
+    rows, columns = _incidence(candidates, offsets)
     size = len(candidates) + int(offsets[-1])
     graph = coo_array((np.ones(len(rows)), (rows, columns + len(candidates))), shape=(size, size))
     _, label = connected_components(graph, directed=False)
-    groups: dict[int, list[_Candidate]] = {}
-    for candidate, knot in zip(candidates, label[: len(candidates)], strict=True):
-        groups.setdefault(int(knot), []).append(candidate)
+    groups: dict[int, list[_TrackCandidate]] = {}
+    for candidate, cluster in zip(candidates, label[: len(candidates)], strict=True):
+        groups.setdefault(int(cluster), []).append(candidate)
     return list(groups.values())
 
 
-def _uses(candidates: Sequence[_Candidate], offsets: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _incidence(
+    candidates: Sequence[_TrackCandidate], offsets: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     pairs = [(n, offsets[c] + dot) for n, cand in enumerate(candidates) for c, dot in enumerate(cand.dots) if dot >= 0]
     rows, columns = np.array(pairs).T
     return rows, columns
 
 
-def _solve(knot: list[_Candidate]) -> list[Track]:
-    """Choose candidates of one knot; mark those that the knot's second-best choice would replace at little cost."""
-    if len(knot) == 1:
-        return [Track(knot[0].dots, knot[0].place_mm)]
-    cameras = len(knot[0].dots)
-    offsets = np.arange(cameras) * (1 + max(max(candidate.dots) for candidate in knot))
-    rows, columns = _uses(knot, offsets)
+def _solve(cluster: list[_TrackCandidate]) -> list[Track]:
+    """Choose candidates of one cluster; mark those that its second-best choice would replace at little cost."""
+    if len(cluster) == 1:
+        return [Track(cluster[0].dots, cluster[0].place_mm)]
+    cameras = len(cluster[0].dots)
+    offsets = np.arange(cameras) * (1 + max(max(candidate.dots) for candidate in cluster))
+    rows, columns = _incidence(cluster, offsets)
     _, columns = np.unique(columns, return_inverse=True)
-    uses = coo_array((np.ones(len(rows)), (columns, rows)), shape=(columns.max() + 1, len(knot))).tocsr()
-    gain = np.array([candidate.gain for candidate in knot])
+    uses = coo_array((np.ones(len(rows)), (columns, rows)), shape=(columns.max() + 1, len(cluster))).tocsr()
+    gain = np.array([candidate.gain for candidate in cluster])
 
     def best(without: int | None) -> tuple[float, NDArray[np.bool_]]:
-        upper = np.ones(len(knot))
+        upper = np.ones(len(cluster))
         if without is not None:
             upper[without] = 0.0
         result = milp(
             -gain,
-            integrality=np.ones(len(knot), dtype=np.int64),
+            integrality=np.ones(len(cluster), dtype=np.int64),
             bounds=Bounds(0, upper),
             constraints=LinearConstraint(uses, ub=1),
         )
         if result.x is None or result.fun is None:  # the empty choice is always allowed, so this is a time limit
-            return 0.0, np.zeros(len(knot), dtype=np.bool_)
+            return 0.0, np.zeros(len(cluster), dtype=np.bool_)
         return -float(result.fun), np.asarray(result.x > 0.5)
 
     total, chosen = best(None)
@@ -293,13 +299,13 @@ def _solve(knot: list[_Candidate]) -> list[Track]:
     for index in np.flatnonzero(chosen):
         second, other = best(int(index))
         # A subset of the same dots (one camera fewer) is no rival: it says the same.
-        rivals = [knot[k] for k in np.flatnonzero(other)]
-        same = any(_agree(knot[index], rival) for rival in rivals)
-        tracks.append(Track(knot[index].dots, knot[index].place_mm, same or total - second > CLEAR))
+        rivals = [cluster[k] for k in np.flatnonzero(other)]
+        same = any(_agree(cluster[index], rival) for rival in rivals)
+        tracks.append(Track(cluster[index].dots, cluster[index].place_mm, same or total - second > CLEAR))
     return tracks
 
 
-def _agree(one: _Candidate, other: _Candidate) -> bool:
+def _agree(one: _TrackCandidate, other: _TrackCandidate) -> bool:
     shared = [a for a, b in zip(one.dots, other.dots, strict=True) if a == b and a >= 0]
     clash = any(a != b and a >= 0 and b >= 0 for a, b in zip(one.dots, other.dots, strict=True))
     return len(shared) >= 2 and not clash

@@ -44,7 +44,7 @@ class CaptureResult:
     notes
         What a person should know, one line each.
     frames
-        Camera and file, relative to the folder, of the frames that a picture of the result may be drawn on (a group's
+        Camera and file, relative to the folder, of the frames on which the result may be drawn (a group's
         last capture).
     """
 
@@ -143,10 +143,10 @@ def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str
         measurement = seen.get(camera.name)
         if measurement is None or not _measured(measurement):
             continue
-        picture = _image_motion(measurement)
+        image_motion = _image_motion(measurement)
         if frame.motions:
-            picture = compensate_camera_motion(plane, picture, camera.view, [m.camera for m in frame.motions])
-        motion = map_motion_to_plane(plane, picture)
+            image_motion = compensate_camera_motion(plane, image_motion, camera.view, [m.camera for m in frame.motions])
+        motion = map_motion_to_plane(plane, image_motion)
         if np.isfinite(motion.mean_mm).all():
             result[target] = motion
     return result
@@ -165,11 +165,11 @@ def _in_space(
     sharp: SharpSet, views: Mapping[str, OrientedCamera], by_target: _Seen, evidence: Mapping[str, Mapping[str, float]]
 ) -> dict[str, ObjectMotion]:
     """Several cameras: what their rays say together."""
-    pictures = {
+    image_motions = {
         target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
         for target, seen in by_target.items()
     }
-    joined = intersect_targets(views, pictures, covariance=sharp.covariance, evidence=evidence)
+    joined = intersect_targets(views, image_motions, covariance=sharp.covariance, evidence=evidence)
     return {
         target: motion
         for target, motion in joined.motions.items()

@@ -253,25 +253,25 @@ def _plain(name: str, what: str, root: Path) -> str:
 def _frames_in(where: Path, cameras: tuple[str, ...], *, several: bool) -> dict[str, tuple[Path, ...]]:
     """Find each camera's frames: CAMERA.ext and, where `several`, CAMERA-2.ext, CAMERA-3.ext … in that order."""
     found: dict[str, dict[int, Path]] = {}
-    pictures: dict[str, Path] = {}
+    photographs: dict[str, Path] = {}
     for path in sorted(where.iterdir()):
         suffix = path.suffix.lower()
         if path.is_dir() or path.name.startswith(".") or suffix in NOT_FRAMES:
             continue
         camera, number = _whose(path.stem, cameras, several)
         if suffix in TONE_MAPPED:
-            pictures.setdefault(camera or path.stem, path)
+            photographs.setdefault(camera or path.stem, path)
             continue
         if camera is None:
             known = ", ".join(cameras)
             raise DataError(f"belongs to no camera of rig.toml ({known}); rename or remove it", file=path)
         if number in found.setdefault(camera, {}):
-            raise DataError(f"a second frame of camera {camera} beside {found[camera][number].name}", file=path)
+            raise DataError(f"a second frame of camera {camera}, after {found[camera][number].name}", file=path)
         found[camera][number] = path
-    for camera, path in pictures.items():
+    for camera, path in photographs.items():
         if camera in cameras and camera not in found:
             raise DataError(
-                "a JPEG or other tone-mapped picture cannot be measured; give the camera's RAW file", file=path
+                "a JPEG or other tone-mapped image cannot be measured; give the camera's RAW file", file=path
             )
     return {camera: tuple(found[camera][n] for n in sorted(found[camera])) for camera in cameras if camera in found}
 

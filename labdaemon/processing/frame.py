@@ -1,4 +1,4 @@
-"""One camera's frame (or the frames of a group): every target found again and measured, in pixels."""
+"""One camera's frame (or the frames of a group): every target located and measured, in pixels."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from labdaemon.imaging.frame import RawFrame
 from labdaemon.imaging.lazy_image import LazyImage
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.group import holds_phase, is_part
-from labdaemon.processing.missing import expected_smears
+from labdaemon.processing.matched_filter import BlurredTarget
+from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.prepare import PreparedCamera
-from labdaemon.processing.search import find_again
 from labdaemon.processing.shift import FrameShift, frame_shift
-from labdaemon.processing.smears import Smear
 from labdaemon.processing.survey import ControlPoint
+from labdaemon.processing.target_search import locate_targets
 from labdaemon.processing.thumbnails import find_thumbnail
 
 MOVED_PX = 1.0
@@ -45,8 +45,8 @@ PATCH_SCORE = 0.35
 """Correlation below which it is not there: noise alone reaches 0.2 somewhere, a smear of its own size keeps 0.5."""
 
 
-def nothing(target: SharpTarget) -> Measurement:
-    """A measurement without numbers, of a target that is not in the frame."""
+def not_found(target: SharpTarget) -> Measurement:
+    """Make a measurement without numbers, of a target that is not in the frame."""
     lost = np.full(2, np.nan)
     return Measurement(target.name, lost, lost, lost, np.full((6, 6), np.nan), flags=frozenset({Flag.NOT_FOUND}))
 
@@ -86,12 +86,12 @@ class FrameResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """A frame with the place of everything in it."""
+class _LocatedTargets:
+    """A frame, its shift, and its blurred targets in the order of the camera's targets; None where not found."""
 
     frame: RawFrame
     shift: FrameShift
-    smears: list[Smear | None]
+    smears: list[BlurredTarget | None]
 
 
 def measure_frames(
@@ -113,7 +113,7 @@ def measure_frames(
     windows
         What is known of each exposure.
     control
-        The survey, to tell the camera's own motion in space.
+        The survey, which resolves the camera's own motion in space.
     method
         "fit", or "paper" for the published method.
 
@@ -139,39 +139,45 @@ def measure_raw(
     shifts = [frame_shift(frame, grey, camera.control) for frame, grey in zip(frames, greys, strict=True)]
     # First of all: a frame of another camera would only be searched in vain.
     motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
-    looks = [_look(camera, *each) for each in zip(frames, greys, shifts, strict=True)]
+    located_frames = [_locate_in(camera, *each) for each in zip(frames, greys, shifts, strict=True)]
     evidence: tuple[float, ...] = ()
     if method == "paper":
-        found = _by_paper(camera, looks)
+        found = _measure_mccarthy2016(camera, located_frames)
     elif len(frames) == 1 and not (windows[0] is not None and windows[0].is_coded):
-        found = _measure_one(camera, looks[0], windows[0])
-        evidence = _evidence(camera, looks[0], windows[0], found)
+        found = _measure_one(camera, located_frames[0], windows[0])
+        evidence = _evidence(camera, located_frames[0], windows[0], found)
     else:
-        found = _measure_together(camera, looks, windows)
-    found = [_with_white(one, camera.targets[index], looks, index) for index, one in enumerate(found)]
-    if any(_moved(look.shift) for look in looks) or any(motion is not None and motion.moved for motion in motions):
+        found = _measure_together(camera, located_frames, windows)
+    found = [_with_white(one, camera.targets[index], located_frames, index) for index, one in enumerate(found)]
+    if any(_has_moved(located.shift) for located in located_frames) or any(
+        motion is not None and motion.moved for motion in motions
+    ):
         found = [replace(one, flags=one.flags | {Flag.CAMERA_MOVED}) for one in found]
     return FrameResult(
         camera.name,
         tuple(found),
-        tuple(look.shift for look in looks),
+        tuple(located.shift for located in located_frames),
         tuple(motion for motion in motions if motion is not None),
         evidence,
         tuple(note for frame in frames for note in frame.notes),
     )
 
 
-def _look(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> _Look:
+def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> _LocatedTargets:
     if camera.thumbnails:
-        smears: list[Smear | None] = []
+        smears: list[BlurredTarget | None] = []
         for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):
             moved, score = find_thumbnail(grey, thumbnail, PATCH_REACH_PX)
             seen = score >= PATCH_SCORE
-            smears.append(Smear(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0) if seen else None)
-        return _Look(frame, shift, smears)
+            smears.append(
+                BlurredTarget(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0) if seen else None
+            )
+        return _LocatedTargets(frame, shift, smears)
     moved = shift.at(camera.centres_px)
-    sought = [replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.sought, moved, strict=True)]
-    return _Look(frame, shift, find_again(grey, sought))
+    expected_targets = [
+        replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.expected, moved, strict=True)
+    ]
+    return _LocatedTargets(frame, shift, locate_targets(grey, expected_targets))
 
 
 def _camera_motion(
@@ -200,11 +206,11 @@ def _camera_motion(
         raise DataError(str(exc), file=file) from None
 
 
-def _moved(shift: FrameShift) -> bool:
+def _has_moved(shift: FrameShift) -> bool:
     return bool(shift.stills) and float(np.hypot(*shift.shift_px)) > MOVED_PX
 
 
-def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
+def _cut(frame: RawFrame, target: SharpTarget, smear: BlurredTarget) -> Patch:
     """The part of a frame that holds a smear and some paper around it."""
     half_w, half_h = target.form.half_size_px
     path = np.hypot(smear.a_px, smear.b_px)
@@ -215,72 +221,76 @@ def _cut(frame: RawFrame, target: SharpTarget, smear: Smear) -> Patch:
     return frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1)
 
 
-def _with_white(one: Measurement, target: SharpTarget, looks: Sequence[_Look], index: int) -> Measurement:
+def _with_white(
+    one: Measurement, target: SharpTarget, located_frames: Sequence[_LocatedTargets], index: int
+) -> Measurement:
     """A measurement, flagged `saturated` where the paper is at white level in all channels, at rest or moving.
 
     The fit then takes the paper's brightness from the blurred edge alone, and is wrong by more than it knows.
     """
     if not np.isfinite(one.a_px).all():
         return one
-    smears = [(look.frame, look.smears[index]) for look in looks]
+    smears = [(located.frame, located.smears[index]) for located in located_frames]
     white = any(smear is not None and frame.is_white(_cut(frame, target, smear)) for frame, smear in smears)
     if white or Flag.SATURATED in target.flags:
         return replace(one, flags=one.flags | {Flag.SATURATED})
     return one
 
 
-def _measure_one(camera: PreparedCamera, look: _Look, window: ExposureWindow | None) -> list[Measurement]:
+def _measure_one(camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None) -> list[Measurement]:
     # Axes do not depend on the opening phase: where it is unknown, any will do.
     unknown = window is not None and window.phase_rad is None and is_part(window)
     if unknown and window is not None:
         window = replace(window, phase_rad=0.0)
 
-    def measured(smears: list[Smear | None]) -> dict[int, Measurement]:
-        found, targets, cuts, starts = _found(camera, replace(look, smears=smears))
-        each = measure_frame(targets, cuts, window=window, defocus=look.shift.defocus, initial_guesses=starts)
+    def measured(smears: list[BlurredTarget | None]) -> dict[int, Measurement]:
+        found, targets, cuts, starts = _fit_inputs(camera, replace(located, smears=smears))
+        each = measure_frame(targets, cuts, window=window, defocus=located.shift.defocus, initial_guesses=starts)
         return dict(zip(found, each, strict=True))
 
     result = [
-        _unseen(look, target) if smear is None else nothing(target)
-        for target, smear in zip(camera.targets, look.smears, strict=True)
+        _missing_target(located, target) if smear is None else not_found(target)
+        for target, smear in zip(camera.targets, located.smears, strict=True)
     ]
-    for index, one in measured(look.smears).items():
+    for index, one in measured(located.smears).items():
         seen = unknown and bool(np.isfinite(one.a_px).all())
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
     # What was not found may be where its neighbours say, behind something. Anything else there is not this target.
-    rest_px = camera.centres_px + look.shift.at(camera.centres_px)
-    expected = expected_smears(rest_px, look.smears)
+    rest_px = camera.centres_px + located.shift.at(camera.centres_px)
+    expected = predict_missing(rest_px, located.smears)
     for index, one in measured([expected.get(index) for index in range(len(camera.targets))]).items():
         if Flag.OCCLUDED in one.flags:
             result[index] = one
     return result
 
 
-def _unseen(look: _Look, target: SharpTarget) -> Measurement:
+def _missing_target(located: _LocatedTargets, target: SharpTarget) -> Measurement:
     """A measurement without numbers, of a target that was not found: perhaps because all is at white level there."""
-    lost = nothing(target)
-    at = target.centre_px + look.shift.at(target.centre_px[None])[0]
+    lost = not_found(target)
+    at = target.centre_px + located.shift.at(target.centre_px[None])[0]
     (x, y), (w, h) = (round(float(v)) for v in at), (round(v) for v in target.form.half_size_px)
-    white = failure_flags(target, look.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1), at) & {Flag.SATURATED}
+    white = failure_flags(target, located.frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1), at) & {Flag.SATURATED}
     return replace(lost, flags=lost.flags | white)
 
 
-def _found(camera: PreparedCamera, look: _Look) -> tuple[list[int], list[SharpTarget], list[Patch], list[InitialGuess]]:
+def _fit_inputs(
+    camera: PreparedCamera, located: _LocatedTargets
+) -> tuple[list[int], list[SharpTarget], list[Patch], list[InitialGuess]]:
     """The targets that are in a frame: their places in the list, themselves, their smears and where to begin."""
-    seen = [(index, smear) for index, smear in enumerate(look.smears) if smear is not None]
+    seen = [(index, smear) for index, smear in enumerate(located.smears) if smear is not None]
     targets = [camera.targets[index] for index, _ in seen]
-    cuts = [_cut(look.frame, target, smear) for target, (_, smear) in zip(targets, seen, strict=True)]
+    cuts = [_cut(located.frame, target, smear) for target, (_, smear) in zip(targets, seen, strict=True)]
     return [index for index, _ in seen], targets, cuts, [InitialGuess(s.centre_px, s.a_px, s.b_px) for _, s in seen]
 
 
 def _evidence(
-    camera: PreparedCamera, look: _Look, window: ExposureWindow | None, measured: Sequence[Measurement]
+    camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, measured: Sequence[Measurement]
 ) -> tuple[float, ...]:
     """Evidence for the sign of each target's a; 0 where there is none."""
     if window is None or not is_part(window):
         return ()
-    found, targets, cuts, starts = _found(camera, look)
-    signs = find_relative_signs(targets, cuts, window, defocus=look.shift.defocus, initial_guesses=starts)
+    found, targets, cuts, starts = _fit_inputs(camera, located)
+    signs = find_relative_signs(targets, cuts, window, defocus=located.shift.defocus, initial_guesses=starts)
     evidence = np.zeros(len(camera.targets))
     for index, vector, one, sign in zip(found, signs.vector_px, signs.evidence, signs.sign, strict=True):
         a = measured[index].a_px
@@ -290,48 +300,48 @@ def _evidence(
 
 
 def _measure_together(
-    camera: PreparedCamera, looks: Sequence[_Look], windows: Sequence[ExposureWindow | None]
+    camera: PreparedCamera, located_frames: Sequence[_LocatedTargets], windows: Sequence[ExposureWindow | None]
 ) -> list[Measurement]:
     """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean."""
     phased = [window for window in windows if window is not None and holds_phase(window)]
     if len(phased) == len(windows):
-        return [_measure_phased(target, looks, phased, index) for index, target in enumerate(camera.targets)]
-    each = [_measure_one(camera, look, window) for look, window in zip(looks, windows, strict=True)]
+        return [_measure_phased(target, located_frames, phased, index) for index, target in enumerate(camera.targets)]
+    each = [_measure_one(camera, located, window) for located, window in zip(located_frames, windows, strict=True)]
     return [average_measurements(measured) for measured in zip(*each, strict=True)]
 
 
 def _measure_phased(
-    target: SharpTarget, looks: Sequence[_Look], windows: Sequence[ExposureWindow], index: int
+    target: SharpTarget, located_frames: Sequence[_LocatedTargets], windows: Sequence[ExposureWindow], index: int
 ) -> Measurement:
     cuts, starts, blurs, seen = [], [], [], []
-    for look, window in zip(looks, windows, strict=True):
-        smear = look.smears[index]
+    for located, window in zip(located_frames, windows, strict=True):
+        smear = located.smears[index]
         if smear is not None:
-            cuts.append(_cut(look.frame, target, smear))
+            cuts.append(_cut(located.frame, target, smear))
             starts.append(InitialGuess(smear.centre_px, smear.a_px, smear.b_px))
-            blurs.append(look.shift.defocus)
+            blurs.append(located.shift.defocus)
             seen.append(window)
     if not cuts:
-        return nothing(target)
+        return not_found(target)
     known = [blur for blur in blurs if blur is not None]
     return measure_group(
         target, cuts, seen, defocus=known if len(known) == len(blurs) else None, initial_guesses=starts
     )
 
 
-def _by_paper(camera: PreparedCamera, looks: Sequence[_Look]) -> list[Measurement]:
+def _measure_mccarthy2016(camera: PreparedCamera, located_frames: Sequence[_LocatedTargets]) -> list[Measurement]:
     """The published method on every dot of a frame."""
-    if len(looks) > 1:
+    if len(located_frames) > 1:
         raise UsageError("the published method knows no phase; take the group out of capture.toml, or method fit")
     if len(camera.dots) < len(camera.targets):
         raise UsageError("the published method measures dots; leave the patches out, or take method fit")
     found = []
-    for target, (dot, sharp), smear in zip(camera.targets, camera.dots, looks[0].smears, strict=True):
+    for target, (dot, sharp), smear in zip(camera.targets, camera.dots, located_frames[0].smears, strict=True):
         if smear is None:
-            found.append(nothing(target))
+            found.append(not_found(target))
             continue
-        blurred = _cut(looks[0].frame, target, smear)
+        blurred = _cut(located_frames[0].frame, target, smear)
         named = replace(dot, name=target.name)
         one = solved(measure_mccarthy2016)(sharp, named, blurred, start_px=smear.centre_px)
-        found.append(one if one is not None else replace(nothing(target), flags=frozenset({Flag.POOR_FIT})))
+        found.append(one if one is not None else replace(not_found(target), flags=frozenset({Flag.POOR_FIT})))
     return found

@@ -9,11 +9,11 @@ from scipy.spatial.distance import cdist
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.imaging.naming import match_names, names_by_place
-from labdaemon.processing.correspond import SeenDots
+from labdaemon.processing.correspond import DetectedDots
 
 
-def names_in_picture(centres_px: FloatArray) -> list[str]:
-    """Name (n, 2) dots of a picture by their place in it, as one reads."""
+def names_in_image(centres_px: FloatArray) -> list[str]:
+    """Name (n, 2) dots of an image by their place in it, in reading order."""
     return names_by_place(centres_px[:, 0], -centres_px[:, 1])
 
 
@@ -46,7 +46,7 @@ def names_like(places_mm: FloatArray, known_mm: FloatArray, known: tuple[str, ..
     return names
 
 
-def near_places(camera: SeenDots, places_mm: FloatArray) -> NDArray[np.intp]:
+def near_places(camera: DetectedDots, places_mm: FloatArray) -> NDArray[np.intp]:
     """Match a camera's dots to approximate places.
 
     Parameters

@@ -1,6 +1,6 @@
-"""Worker processes that measure frames: started clean, given paths rather than pictures, never trusted to survive.
+"""Worker processes that measure frames: started clean, given paths rather than pixels, expected to die at any time.
 
-A task that kills its worker, or outstays its deadline, is given one more chance in a new pool; after that the input
+A task that kills its worker, or outstays its deadline, is tried once more in a new pool; after that the input
 is at fault and the caller gets a `DataError`. Tasks that shared the broken pool are simply run again.
 """
 
@@ -54,7 +54,7 @@ def _start_worker(pids: SimpleQueue[int]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent is gone: a killed parent cannot end it, and its queue never tells.
+    """End this worker when its parent is gone: a killed parent cannot end it, and its queue does not report it.
 
     Workers hold both ends of the pipe that they wait on, and keep their fork server alive; without this every kill -9
     of the daemon would leave a pool behind.
@@ -171,7 +171,7 @@ class WorkerPool:
             self._retire(generation)
         if self._closed:
             raise LabdaemonError("the worker pool is closed")
-        # The second chance is taken alone, so that a task is never blamed for what a neighbour did to the pool.
+        # The second attempt runs alone, so that a task is never blamed for what a neighbour did to the pool.
         alone = _Generation(1)
         try:
             return alone.run(function, self.deadline_s, *args, **kwargs)

@@ -21,9 +21,9 @@ from labdaemon.imaging.dots import find_dots
 from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control
-from labdaemon.processing.naming import names_in_picture
-from labdaemon.processing.search import Sought, measure_contrast
+from labdaemon.processing.naming import names_in_image
 from labdaemon.processing.survey import ControlPoint
+from labdaemon.processing.target_search import ExpectedTarget, measure_contrast
 from labdaemon.processing.thumbnails import Thumbnail
 
 LEAST_CONTROL = 4
@@ -32,7 +32,7 @@ ORDINARY_PX = (12.0, 200.0)
 LEAST_SMEARED, SMEARED_PART = 2, 0.2
 """Smeared dots, and their part of all, from which a sharp frame is not believed."""
 SMALLEST_PX = 7.0
-"""Diameter below which a dot cannot be told from anything else."""
+"""Diameter below which a dot cannot be distinguished from anything else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,21 +68,21 @@ class PreparedCamera:
     Attributes
     ----------
     name
-        The camera's, empty where there is only one picture.
+        The camera's, empty where there is only one image.
     file
         Its (first) sharp frame.
     image_size
         (width, height).
     targets
         The dots, or textures, at rest.
-    sought
+    expected
         The same targets as the search in blurred frames wants them; empty for textures, which have `thumbnails`.
     control
         Its control targets.
     orientation
         Where it stands; None without a survey.
     thumbnails
-        Textures as small pictures, to be found again.
+        Textured patches as small images, to be located in later frames.
     dots
         Each dot as found and the part of the first sharp frame that holds it: what the published method starts from.
         Empty unless asked for.
@@ -94,7 +94,7 @@ class PreparedCamera:
     file: Path
     image_size: tuple[int, int]
     targets: tuple[SharpTarget, ...]
-    sought: tuple[Sought, ...]
+    expected: tuple[ExpectedTarget, ...]
     control: ControlTargets
     orientation: Orientation | None = None
     thumbnails: tuple[Thumbnail, ...] = ()
@@ -117,7 +117,7 @@ class PreparedCamera:
         """The same camera with only these targets, in this order, under these names."""
         targets = tuple(replace(self.targets[i], name=name) for i, name in zip(keep, names, strict=True))
         dots = tuple(self.dots[i] for i in keep) if self.dots else ()
-        return replace(self, targets=targets, sought=tuple(self.sought[i] for i in keep), dots=dots)
+        return replace(self, targets=targets, expected=tuple(self.expected[i] for i in keep), dots=dots)
 
 
 def prepare_camera(
@@ -182,7 +182,7 @@ def prepare_frames(
     usable = _all_in_doubt([(dot, target) for dot, target in fitted if target is not None and target.usable])
     if not usable:
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
-    plain = [Sought(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
+    plain = [ExpectedTarget(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
     contrast = measure_contrast(frame.lazy_grey(), plain)
     return PreparedCamera(
         name,
@@ -199,7 +199,7 @@ def prepare_frames(
 
 def name_dots(camera: PreparedCamera) -> PreparedCamera:
     """The same camera with its dots named by their place in the image, in reading order."""
-    names = names_in_picture(camera.centres_px)
+    names = names_in_image(camera.centres_px)
     order = sorted(range(len(names)), key=names.__getitem__)
     return camera.renamed(order, [names[index] for index in order])
 
@@ -231,7 +231,7 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
     for number, (x, y, w, h) in enumerate(boxes, start=1):
         if x < 0 or y < 0 or x + w > width or y + h > height:
             raise DataError(f"patch {x},{y},{w},{h} does not lie inside the frame of {width}x{height} px", file=file)
-        # What lies beside the box is smeared into it.
+        # What lies outside the box is blurred into it.
         reach = max(16, min(64, max(w, h) // 2))
         x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
         cuts = [f.patch(x0, y0, x1 - x0, y1 - y0) for f in frames]

@@ -104,7 +104,7 @@ def process_folder(
     method
         "fit" or "paper"; the rig file's if None.
     progress
-        Told of what is done.
+        Called with what is done.
 
     Raises
     ------

@@ -14,11 +14,11 @@ from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.plane import Plane, fit_plane
-from labdaemon.processing.correspond import SeenDots, correspond, meet
+from labdaemon.processing.correspond import DetectedDots, correspond, intersect_rays
 from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
 from labdaemon.processing.naming import names_in_space, names_like, near_places
 from labdaemon.processing.prepare import CameraSurvey, PreparedCamera, prepare_camera
-from labdaemon.processing.stations import excluded, seen_dots, stand_together
+from labdaemon.processing.stations import detected_dots, excluded, orient_cameras
 from labdaemon.processing.survey import ControlPoint
 
 SIZE_TOLERANCE = 0.25
@@ -113,8 +113,8 @@ def assemble(
     plane = _plane(prepared[0], folder) if len(prepared) == 1 else None
     covariance, notes = None, [note for camera in prepared for note in excluded(camera)]
     if plane is None:
-        prepared, covariance, notes = stand_together(folder, prepared, sizes, ties=files.at_rest)
-    seen = [seen_dots(camera) for camera in prepared]
+        prepared, covariance, notes = orient_cameras(folder, prepared, sizes, ties=files.at_rest)
+    seen = [detected_dots(camera) for camera in prepared]
     if folder.targets:
         wanted = np.array([(t.x_mm, t.y_mm, t.z_mm) for t in folder.targets])
         dots = np.column_stack([near_places(camera, wanted) for camera in seen])
@@ -201,7 +201,7 @@ def _plane(camera: PreparedCamera, folder: DataFolder) -> Plane:
 
 
 def _of_size(
-    seen: SeenDots, plane: Plane, sizes: tuple[float, ...], folder: DataFolder, files: SharpFiles
+    seen: DetectedDots, plane: Plane, sizes: tuple[float, ...], folder: DataFolder, files: SharpFiles
 ) -> NDArray[np.intp]:
     """Dots whose size in the plane is one of those in use."""
     places = plane.to_object(plane.to_plane(seen.centres_px))
@@ -224,7 +224,7 @@ def _places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: P
         rows = np.flatnonzero(dots[:, c] >= 0)
         pixels[c, rows] = camera.centres_px[dots[rows, c]]
     if plane is None:
-        return meet([camera.view for camera in prepared], pixels)
+        return intersect_rays([camera.view for camera in prepared], pixels)
     places = np.full((len(dots), 3), np.nan)
     rows = np.flatnonzero(dots[:, 0] >= 0)
     places[rows] = plane.to_object(plane.to_plane(pixels[0, rows]))

@@ -12,8 +12,8 @@ from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.unsolvable import solved
 from labdaemon.errors import DataError
 from labdaemon.imaging.frame import RawFrame
-from labdaemon.processing.control import ControlTargets, read_places
-from labdaemon.processing.smears import GreyLike
+from labdaemon.processing.control import ControlTargets, read_control_places
+from labdaemon.processing.matched_filter import GreyLike
 from labdaemon.processing.thumbnails import find_thumbnail
 
 REACH_PX = 24
@@ -21,7 +21,7 @@ REACH_PX = 24
 LEAST_SCORE = 0.8
 """Correlation below which a control target is not where it was looked for."""
 SD_BETWEEN_PX2 = 0.04
-"""How well a control target's picture gives the extra blur of a frame shifted by half a pixel: its samples then are
+"""Variance of the extra blur that a control target gives in a frame shifted by half a pixel: its samples then are
 interpolated from a mosaic, which costs sharpness of its own. Nothing is lost at whole pixels."""
 TURN = 1.0
 """Prior standard deviation of a frame's rotation times its width, px: mirrors shift, they hardly turn."""
@@ -38,7 +38,7 @@ class FrameShift:
     shift_px, middle_px, turn_rad
         A point p moved by `shift_px` + `turn_rad` × (p − `middle_px`).
     defocus
-        Isotropic extra blur; None where no control target tells.
+        Isotropic extra blur; None where no control target measures it.
     """
 
     stills: tuple[StaticMeasurement, ...]
@@ -93,13 +93,13 @@ def _around(frame: RawFrame, half_size: tuple[float, float], centre: FloatArray)
 
 
 def _starts(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> list[FloatArray | None]:
-    """Rough place of each control target's picture in the frame."""
+    """Rough place of each control target's thumbnail in the frame."""
     found = [find_thumbnail(grey, thumbnail, REACH_PX) for thumbnail in control.thumbnails]
     centres = [target.centre_px for target in control.sharp]
     good = [score >= LEAST_SCORE for _, score in found]
     if sum(good) >= max(2, len(found) / 2):
         return [c + shift if ok else None for c, (shift, _), ok in zip(centres, found, good, strict=True)]
-    places = read_places(frame, control.family)
+    places = read_control_places(frame, control.family)
     return [
         c + places[name] - tag if name in places else (c + shift if ok else None)
         for name, c, tag, (shift, _), ok in zip(control.names, centres, control.centres_px, found, good, strict=True)

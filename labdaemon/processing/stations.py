@@ -10,7 +10,7 @@ import numpy as np
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.geometry.joint_orientation import ControlPoint, ImageObservation, orient_jointly
-from labdaemon.processing.correspond import SeenDots, correspond
+from labdaemon.processing.correspond import DetectedDots, correspond
 from labdaemon.processing.folder import DataFolder
 from labdaemon.processing.prepare import PreparedCamera
 
@@ -20,10 +20,10 @@ TIE = "dot "
 """Before the name of a tie, so that it never is a control target's."""
 
 
-def seen_dots(camera: PreparedCamera) -> SeenDots:
-    """What a camera offers for matching."""
-    radius = np.array([sought.semi_major_px for sought in camera.sought])
-    return SeenDots(camera.view, camera.centres_px, radius)
+def detected_dots(camera: PreparedCamera) -> DetectedDots:
+    """A camera's dots at rest, for matching."""
+    radius = np.array([target.semi_major_px for target in camera.expected])
+    return DetectedDots(camera.view, camera.centres_px, radius)
 
 
 def excluded(camera: PreparedCamera) -> list[str]:
@@ -36,7 +36,7 @@ def excluded(camera: PreparedCamera) -> list[str]:
     ]
 
 
-def stand_together(
+def orient_cameras(
     folder: DataFolder, prepared: Sequence[PreparedCamera], sizes_mm: Sequence[float], *, ties: bool
 ) -> tuple[list[PreparedCamera], FloatArray, list[str]]:
     """Orient all cameras of a sharp set together.
@@ -64,7 +64,7 @@ def stand_together(
     """
     control = [ControlPoint(p.name, np.array([p.x_mm, p.y_mm, p.z_mm]), p.sd_mm) for p in folder.control]
     observations = {camera.name: _control(camera) for camera in prepared}
-    tracks = correspond([seen_dots(camera) for camera in prepared], sizes_mm) if ties else []
+    tracks = correspond([detected_dots(camera) for camera in prepared], sizes_mm) if ties else []
     for number, track in enumerate(track for track in tracks if track.sure):
         for camera, dot in zip(prepared, track.dots, strict=True):
             if dot >= 0:

@@ -1,4 +1,4 @@
-"""Result files: the rows of `measurements.csv` and `envelope.csv`, in memory, on disk and in messages alike."""
+"""Result files: the rows of `measurements.csv` and `envelope.csv`, the same in memory, on disk and in messages."""
 
 from __future__ import annotations
 

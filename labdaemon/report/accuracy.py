@@ -27,7 +27,7 @@ NEAR_MM = 12.0
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class TargetComparison:
     """A target's semi-amplitude as measured and as it was, millimetres; `measured_mm` None without a number."""
 
     target: str
@@ -63,7 +63,7 @@ class Accuracy:
     mean_mm: float
     sd_mm: float
     p95_mm: float
-    pairs: tuple[Pair, ...]
+    pairs: tuple[TargetComparison, ...]
 
 
 def compare(capture: str, rows: Iterable[Mapping[str, Any]], truth: Iterable[Mapping[str, Any]]) -> Accuracy:
@@ -81,7 +81,7 @@ def compare(capture: str, rows: Iterable[Mapping[str, Any]], truth: Iterable[Map
     return summary(capture, pairs)
 
 
-def summary(capture: str, pairs: Sequence[Pair]) -> Accuracy:
+def summary(capture: str, pairs: Sequence[TargetComparison]) -> Accuracy:
     """Statistics of pairs that may come from several captures."""
     good = [pair for pair in pairs if pair.measured_mm is not None and not set(pair.flags) - {"at_rest"}]
     errors = [pair.error_mm for pair in good if pair.error_mm is not None and pair.true_mm >= FLOOR_MM]
@@ -137,7 +137,7 @@ def read_truth(path: Path) -> dict[str, list[dict[str, Any]]]:
     return truth
 
 
-def _pair(true: Mapping[str, Any], reported: Sequence[Mapping[str, Any]]) -> Pair:
+def _pair(true: Mapping[str, Any], reported: Sequence[Mapping[str, Any]]) -> TargetComparison:
     place = _vector(true, "", unit=True)
     axes = row_axes(true)
     true_mm = float(np.linalg.norm(axes[0])) if axes is not None else math.nan
@@ -148,7 +148,7 @@ def _pair(true: Mapping[str, Any], reported: Sequence[Mapping[str, Any]]) -> Pai
     else:  # a row that lost its place still counts by name, with its flag
         row = next((row for row in reported if row.get("target") == true.get("target")), {})
     found = row_axes(row) if near else None
-    return Pair(
+    return TargetComparison(
         str(true.get("target", "")),
         true_mm,
         None if found is None else float(np.linalg.norm(found[0])),

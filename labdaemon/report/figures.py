@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.orbit_size import is_doubtful
-from labdaemon.report.accuracy import Pair, row_axes
+from labdaemon.report.accuracy import TargetComparison, row_axes
 
 MAGNIFY = 20.0
 """Motion is drawn this many times larger than the structure, as the paper's Fig. 10 does."""
@@ -179,7 +179,9 @@ def _legend(left: float, top: float, largest: float, scale: float) -> list[str]:
     return parts
 
 
-def errors_svg(captures: Mapping[str, Iterable[Pair]], *, width: float = 760.0, height: float = 260.0) -> str:
+def errors_svg(
+    captures: Mapping[str, Iterable[TargetComparison]], *, width: float = 760.0, height: float = 260.0
+) -> str:
     """Error over true semi-amplitude for every compared target, with a bar of one standard deviation as reported."""
     points = [
         (name, pair)

@@ -13,12 +13,12 @@ from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing.folder import NOT_FRAMES
 from labdaemon.processing.tables import Row, read_csv
 from labdaemon.report.accuracy import Accuracy, compare
-from labdaemon.report.html import CaptureResult, Picture, write_page
+from labdaemon.report.html import CaptureSection, PageImage, write_page
 from labdaemon.report.overlay import overlay_path
 from labdaemon.tomlfile import read_toml
 
-PICTURE_WIDTH_PX = 760
-"""Of overlays in the page; the large ones lie beside it."""
+IMAGE_WIDTH_PX = 760
+"""Of overlays in the page; the large ones lie next to it."""
 MAX_ILLUSTRATED = 40
 """A campaign of more captures than this gets a page without overlays, which stays below some 10 MB."""
 
@@ -55,7 +55,7 @@ def report_folder(
     title, subtitle
         Plain text.
     truth
-        What really happened, by capture or group; None where nobody knows.
+        What really happened, by capture or group; None where it is unknown.
     results
         Where the result files are; FOLDER/results by default.
 
@@ -78,7 +78,7 @@ def report_folder(
     if len(measured) > MAX_ILLUSTRATED:
         cameras = []
     shown = [
-        CaptureResult(
+        CaptureSection(
             name,
             rows,
             facts.get(name, {}),
@@ -109,34 +109,34 @@ def _facts(folder: Path) -> dict[str, dict[str, str]]:
         _, about = read_toml(path)
         label, capture = str(about.get("label") or ""), path.parent.name
         # The name of a planned capture is its step's label and a number: nothing new.
-        told = {"label": label} if label and not capture.startswith(label) else {}
+        stated = {"label": label} if label and not capture.startswith(label) else {}
         if "frequency_hz" in about:
-            told["excitation"] = f"{about['frequency_hz']:g} Hz"
+            stated["excitation"] = f"{about['frequency_hz']:g} Hz"
         if "excitation_amplitude_mm" in about:
-            told["table"] = f"{about['excitation_amplitude_mm']:g} mm"
+            stated["table"] = f"{about['excitation_amplitude_mm']:g} mm"
         if "exposure_s" in about:
-            told["exposure"] = f"{about['exposure_s']:.4g} s"
+            stated["exposure"] = f"{about['exposure_s']:.4g} s"
         if "opened_at" in about:
-            told["opened"] = str(about["opened_at"])
-        facts[path.parent.name] = told
+            stated["opened"] = str(about["opened_at"])
+        facts[path.parent.name] = stated
         if about.get("group"):
-            facts[str(about["group"])] = told
+            facts[str(about["group"])] = stated
     return facts
 
 
-def _overlays(results: Path, name: str, cameras: Sequence[str]) -> list[Picture]:
+def _overlays(results: Path, name: str, cameras: Sequence[str]) -> list[PageImage]:
     """Overlays of a capture that are there, a camera each."""
-    pictures = []
+    images = []
     for camera in cameras:
         path = overlay_path(results, name, camera)
         image = cv2.imread(str(path)) if path.is_file() else None
         if image is not None:
             height, width = image.shape[:2]
-            size = (PICTURE_WIDTH_PX, round(height * PICTURE_WIDTH_PX / width))
+            size = (IMAGE_WIDTH_PX, round(height * IMAGE_WIDTH_PX / width))
             small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 82])
             uri = f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
-            pictures.append(
-                Picture(f"{camera}: the vectors on the photograph", uri, path.relative_to(results).as_posix())
+            images.append(
+                PageImage(f"{camera}: the vectors on the photograph", uri, path.relative_to(results).as_posix())
             )
-    return pictures
+    return images

@@ -38,8 +38,8 @@ th,td{padding:.22rem .7rem;white-space:nowrap}td{text-align:right}
 th:first-child,td:first-child,td.flags,th.flags{text-align:left}
 tbody tr:nth-child(even){background:var(--band)}td.flags{color:var(--bad)}
 details summary{cursor:pointer;color:var(--faint);margin:.5rem 0}
-.pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(20rem,1fr));gap:0 1.2rem}
-.pictures img{display:block;width:100%;border-radius:3px}
+.images{display:grid;grid-template-columns:repeat(auto-fit,minmax(20rem,1fr));gap:0 1.2rem}
+.images img{display:block;width:100%;border-radius:3px}
 .numbers{display:flex;flex-wrap:wrap;gap:1rem 2.6rem;margin:1.4rem 0}
 .numbers div{line-height:1.25}.numbers b{display:block;font-size:1.5rem;font-weight:600}
 .numbers span{color:var(--faint)}
@@ -48,15 +48,15 @@ details summary{cursor:pointer;color:var(--faint);margin:.5rem 0}
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture in the page.
+class PageImage:
+    """An image in the page.
 
     Attributes
     ----------
     name
         Its caption.
     data_uri
-        The picture itself, small.
+        The image itself, small.
     link
         Path of the large one relative to the page.
     """
@@ -67,7 +67,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class CaptureResult:
+class CaptureSection:
     """What the page shows of one capture.
 
     Attributes
@@ -79,7 +79,7 @@ class CaptureResult:
     about
         Facts for its heading by name, as ``{"excitation": "5 Hz, 2 mm"}``.
     overlays
-        Pictures of the frames, if there are any.
+        Overlays of the frames, if there are any.
     accuracy
         Against the truth, if it is known.
     """
@@ -87,11 +87,11 @@ class CaptureResult:
     name: str
     rows: Sequence[Mapping[str, Any]]
     about: Mapping[str, str] = field(default_factory=dict)
-    overlays: Sequence[Picture] = ()
+    overlays: Sequence[PageImage] = ()
     accuracy: Accuracy | None = None
 
 
-def write_page(path: Path, title: str, subtitle: str, captures: Sequence[CaptureResult]) -> None:
+def write_page(path: Path, title: str, subtitle: str, captures: Sequence[CaptureSection]) -> None:
     """Write the page whole or not at all.
 
     Raises
@@ -102,7 +102,7 @@ def write_page(path: Path, title: str, subtitle: str, captures: Sequence[Capture
     write_durably(path, page(title, subtitle, captures))
 
 
-def page(title: str, subtitle: str, captures: Sequence[CaptureResult]) -> str:
+def page(title: str, subtitle: str, captures: Sequence[CaptureSection]) -> str:
     """The page's text.
 
     Parameters
@@ -124,7 +124,7 @@ def page(title: str, subtitle: str, captures: Sequence[CaptureResult]) -> str:
     )
 
 
-def _overview(captures: Sequence[CaptureResult]) -> str:
+def _overview(captures: Sequence[CaptureSection]) -> str:
     measured = [row for capture in captures for row in capture.rows if row_axes(row) is not None]
     clean = sum(not set(row.get("flags") or ()) - {"at_rest"} for row in measured)
     total = sum(len(capture.rows) for capture in captures)
@@ -168,20 +168,20 @@ def _accuracy(compared: Sequence[Accuracy]) -> str:
     )
 
 
-def _capture(capture: CaptureResult) -> str:
+def _capture(capture: CaptureSection) -> str:
     facts = " · ".join(f"{escape(name)} {escape(value)}" for name, value in capture.about.items())
     head = ("target", "x mm", "y mm", "z mm", "amplitude mm", "sd mm", "direction x", "y", "z", "minor mm", "flags")
     shown = "".join(
-        f'<figure><a href="{escape(picture.link)}"><img src="{escape(picture.data_uri)}" alt="{escape(picture.name)}">'
-        f"</a><figcaption>{escape(picture.name)}</figcaption></figure>"
-        for picture in capture.overlays
+        f'<figure><a href="{escape(image.link)}"><img src="{escape(image.data_uri)}" alt="{escape(image.name)}">'
+        f"</a><figcaption>{escape(image.name)}</figcaption></figure>"
+        for image in capture.overlays
     )
-    pictures = f'<div class="pictures">{shown}</div>' if shown else ""
+    images = f'<div class="images">{shown}</div>' if shown else ""
     return (
         f'<h2>{escape(capture.name)}</h2><p class="sub">{facts}</p>'
         f"<figure>{envelope_svg(capture.rows)}<figcaption>Paths of the targets, magnified {MAGNIFY:g} times about "
         "their mean positions. Dashed: flagged. Hover for names and numbers.</figcaption></figure>"
-        f"{pictures}<details><summary>{len(capture.rows)} targets in numbers</summary>"
+        f"{images}<details><summary>{len(capture.rows)} targets in numbers</summary>"
         f'<div class="wide">{_table(head, [_row(row) for row in capture.rows], flags=True)}</div></details>'
     )
 

@@ -22,12 +22,12 @@ from labdaemon.processing.tables import Row
 
 MAGNIFICATION = 20.0
 WIDEST_PX = 1800
-"""A picture for the screen; the vectors' places scale with it."""
+"""Longest side of the image for the screen, px; the vectors' places scale with it."""
 
 Colour = tuple[int, int, int]
 Image = NDArray[np.uint8]
 
-# Colours that differ in lightness too, so that a grey print still tells them apart (blue, green, red).
+# Colours that differ in lightness too, so that they differ on a grey print, too (blue, green, red).
 CLEAN: Colour = (60, 220, 90)
 FLAGGED: Colour = (40, 170, 255)
 RESTING: Colour = (230, 190, 70)
@@ -50,16 +50,16 @@ def draw_overlay(
     title
         Written along the top.
     lengths_mm
-        Amplitude of each target in millimetres, written beside it where known, else pixels.
+        Amplitude of each target in millimetres, written next to it where known, else pixels.
 
     Returns
     -------
     array
-        (h', w', 3) 8-bit picture, blue, green, red.
+        (h', w', 3) 8-bit image, blue, green, red.
     """
     scale = min(1.0, WIDEST_PX / max(grey.shape))
-    picture = _backdrop(grey, scale)
-    unit = max(picture.shape[:2]) / 1000
+    image = _backdrop(grey, scale)
+    unit = max(image.shape[:2]) / 1000
     for row in rows:
         centre = _pair(row, "x_px", "y_px")
         if centre is None:
@@ -68,43 +68,43 @@ def draw_overlay(
         a, b = _pair(row, "ax_px", "ay_px"), _pair(row, "bx_px", "by_px")
         at = (centre + 0.5) * scale - 0.5
         if a is None:
-            cv2.drawMarker(picture, _point(at), LOST, cv2.MARKER_TILTED_CROSS, round(14 * unit), _thick(unit))
+            cv2.drawMarker(image, _point(at), LOST, cv2.MARKER_TILTED_CROSS, round(14 * unit), _thick(unit))
             continue
         b = np.zeros(2) if b is None else b
-        _draw_motion(picture, at, a * scale * MAGNIFICATION, b * scale * MAGNIFICATION, colour, unit)
+        _draw_motion(image, at, a * scale * MAGNIFICATION, b * scale * MAGNIFICATION, colour, unit)
         target = str(row["target"])
         length = None if lengths_mm is None else lengths_mm.get(target)
         text = (
             f"{target} {semi_major_axis(a.tolist(), b.tolist()):.2f} px" if length is None else f"{target} {length:.2f}"
         )
-        _write(picture, text, at + np.array([6, 16]) * unit, 0.42 * unit)
-    _caption(picture, title, rows, unit, has_mm=lengths_mm is not None)
-    return picture
+        _write(image, text, at + np.array([6, 16]) * unit, 0.42 * unit)
+    _caption(image, title, rows, unit, has_mm=lengths_mm is not None)
+    return image
 
 
 def write_overlay(
     frame: Path, rows: Sequence[Row], out: Path, title: str, lengths_mm: Mapping[str, float] | None = None
 ) -> None:
-    """Draw a frame's measurements and write the picture as PNG; one task for a worker.
+    """Draw a frame's measurements and write the image as PNG; one task for a worker.
 
     Raises
     ------
     DataError
-        The frame cannot be read or the picture not written.
+        The frame cannot be read or the image not written.
     """
-    picture = draw_overlay(read_frame(frame).grey(), rows, title=title, lengths_mm=lengths_mm)
-    ok, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    image = draw_overlay(read_frame(frame).grey(), rows, title=title, lengths_mm=lengths_mm)
+    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 4])
     if ok:
         write_durably(out, data.tobytes())
 
 
 def overlay_path(out: Path, capture: str, camera: str) -> Path:
-    """Where the picture of a capture (or group) and camera lies in a results folder."""
+    """Where the image of a capture (or group) and camera lies in a results folder."""
     return out / "overlay" / (f"{capture}-{camera}.png" if camera else f"{capture}.png")
 
 
 def write_overlays(folder: Path, result: FolderResult, submit: Callable[..., Future[None]]) -> list[Future[None]]:
-    """Start drawing every capture of a processed folder, a picture a camera.
+    """Start drawing every capture of a processed folder, an image a camera.
 
     Parameters
     ----------
@@ -161,18 +161,18 @@ def _pair(row: Row, x: str, y: str) -> NDArray[np.float64] | None:
 
 
 def _draw_motion(
-    picture: Image, at: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64], colour: Colour, unit: float
+    image: Image, at: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64], colour: Colour, unit: float
 ) -> None:
     if math.hypot(*b) > 2 * unit:
         phase = np.linspace(0, 2 * np.pi, 73)
         path = at + np.outer(np.sin(phase), a) + np.outer(np.cos(phase), b)
         for width, ink in ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour)):
-            cv2.polylines(picture, [np.rint(path).astype(np.int32)], True, ink, width, cv2.LINE_AA)
+            cv2.polylines(image, [np.rint(path).astype(np.int32)], True, ink, width, cv2.LINE_AA)
     tip = min(0.3, 9 * unit / max(math.hypot(*a), 1e-9))
     for width, ink in ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour)):
         for end in (at + a, at - a):
-            cv2.arrowedLine(picture, _point(at), _point(end), ink, width, cv2.LINE_AA, 0, tip)
-    cv2.circle(picture, _point(at), max(2, round(2.2 * unit)), colour, -1, cv2.LINE_AA)
+            cv2.arrowedLine(image, _point(at), _point(end), ink, width, cv2.LINE_AA, 0, tip)
+    cv2.circle(image, _point(at), max(2, round(2.2 * unit)), colour, -1, cv2.LINE_AA)
 
 
 def _point(at: NDArray[np.float64]) -> tuple[int, int]:
@@ -184,25 +184,25 @@ def _thick(unit: float) -> int:
     return max(1, round(1.4 * unit))
 
 
-def _write(picture: Image, text: str, at: NDArray[np.float64], size: float, colour: Colour = (255, 255, 255)) -> int:
-    """Write on a darkened patch of the picture; return the width taken, px."""
+def _write(image: Image, text: str, at: NDArray[np.float64], size: float, colour: Colour = (255, 255, 255)) -> int:
+    """Write on a darkened patch of the image; return the width taken, px."""
     size = max(size, 0.35)
     (width, height), below = cv2.getTextSize(text, _FONT, size, 1)
     x, y = _point(at)
-    patch = picture[max(y - height - 2, 0) : max(y + below, 0), max(x - 2, 0) : max(x + width + 2, 0)]
+    patch = image[max(y - height - 2, 0) : max(y + below, 0), max(x - 2, 0) : max(x + width + 2, 0)]
     patch //= 3
-    cv2.putText(picture, text, (x, y), _FONT, size, colour, 1, cv2.LINE_AA)
+    cv2.putText(image, text, (x, y), _FONT, size, colour, 1, cv2.LINE_AA)
     return int(width)
 
 
-def _caption(picture: Image, title: str, rows: Sequence[Row], unit: float, *, has_mm: bool) -> None:
+def _caption(image: Image, title: str, rows: Sequence[Row], unit: float, *, has_mm: bool) -> None:
     """Title, and what the colours mean with how many there are of each, on a band of their own along the top."""
     band = round(46 * unit)
-    picture[:band] = picture[:band] // 4
+    image[:band] = image[:band] // 4
     amplitude = "semi-amplitude in mm" if has_mm else "semi-amplitude in px"
-    _write(picture, f"{title}   vectors x {MAGNIFICATION:.0f}, {amplitude}", np.array([10, 18]) * unit, 0.55 * unit)
+    _write(image, f"{title}   vectors x {MAGNIFICATION:.0f}, {amplitude}", np.array([10, 18]) * unit, 0.55 * unit)
     counts = Counter(_kind(row) for row in rows)
     x = 10.0 * unit
     for kind, colour in COLOURS.items():
         if counts[kind]:
-            x += _write(picture, f"{counts[kind]} {kind}", np.array([x, 38 * unit]), 0.5 * unit, colour) + 24 * unit
+            x += _write(image, f"{counts[kind]} {kind}", np.array([x, 38 * unit]), 0.5 * unit, colour) + 24 * unit

@@ -23,13 +23,13 @@ _GAP_MM = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class SheetTarget:
     """Something to print.
 
     Attributes
     ----------
     caption
-        Written beside it.
+        Printed next to it.
     draw
         Draws it with its centre at x, y on a page, mm.
     """
@@ -38,12 +38,12 @@ class Target:
     draw: Callable[[Page, float, float], None]
 
 
-def dot(diameter_mm: float) -> Target:
+def dot(diameter_mm: float) -> SheetTarget:
     """A black dot."""
-    return Target(f"{diameter_mm:g} mm dot", lambda page, x, y: page.disc(x, y, diameter_mm / 2.0))
+    return SheetTarget(f"{diameter_mm:g} mm dot", lambda page, x, y: page.disc(x, y, diameter_mm / 2.0))
 
 
-def tag(family: str, number: int, size_mm: float) -> Target:
+def tag(family: str, number: int, size_mm: float) -> SheetTarget:
     """A square tag; `size_mm` is the side of its black square.
 
     Raises
@@ -66,7 +66,7 @@ def tag(family: str, number: int, size_mm: float) -> Target:
                 left, top = x - size_mm / 2.0 + first * cell, y + size_mm / 2.0 - row * cell
                 page.rectangle(left, top - cell, (last - first) * cell, cell, 1.0)
 
-    return Target(f"{family} {number}, {size_mm:g} mm", draw)
+    return SheetTarget(f"{family} {number}, {size_mm:g} mm", draw)
 
 
 def tag_count(family: str) -> int:
@@ -79,7 +79,7 @@ def ring_count(bits: int) -> int:
     return len(code_book(bits))
 
 
-def ring(bits: int, number: int, diameter_mm: float) -> Target:
+def ring(bits: int, number: int, diameter_mm: float) -> SheetTarget:
     """A ring code; `diameter_mm` is that of its dot, a third of the whole.
 
     Raises
@@ -99,10 +99,10 @@ def ring(bits: int, number: int, diameter_mm: float) -> Target:
         for first, last in _runs(ones):
             page.sector(x, y, 2 * r, 3 * r, -2 * np.pi * first / bits, -2 * np.pi * last / bits)
 
-    return Target(f"ring {number} ({bits} bit), {diameter_mm:g} mm dot", draw)
+    return SheetTarget(f"ring {number} ({bits} bit), {diameter_mm:g} mm dot", draw)
 
 
-def sheets(targets: Sequence[Target], label_mm: float, *, paper: str = "a4", landscape: bool = False) -> bytes:
+def sheets(targets: Sequence[SheetTarget], label_mm: float, *, paper: str = "a4", landscape: bool = False) -> bytes:
     """Lay targets out on as many pages as they need.
 
     Parameters

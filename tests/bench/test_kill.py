@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.bench.kill import Outcome, run_campaign, small_rig, table_of, without_gauges
-from labdaemon.bench.verdict import Verdict
+from labdaemon.bench.kill import KillOutcome, run_campaign, small_rig, table_of, without_gauges
+from labdaemon.bench.verdict import CampaignVerdict
 
 
 def test_gauges_are_left_out_and_nothing_else():
@@ -14,7 +14,7 @@ def test_gauges_are_left_out_and_nothing_else():
 
 
 def test_the_table_has_a_row_for_each_outcome():
-    lines = table_of([Outcome("capture.fired", 3, [0.5, 1.5], Verdict(frames_lost=1))]).splitlines()
+    lines = table_of([KillOutcome("capture.fired", 3, [0.5, 1.5], CampaignVerdict(frames_lost=1))]).splitlines()
     assert len(lines) == 3
     assert lines[-1] == "| capture.fired | 3 | 1 | 0 | 0 | 0 | 0 | 0 | 1.50 s |"
 

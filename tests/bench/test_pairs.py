@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.bench.pairs import Pair, axes, pair_up, sign_is_right
+from labdaemon.bench.pairs import MotionComparison, axes, pair_up, sign_is_right
 
 vectors = st.lists(st.floats(-5, 5), min_size=3, max_size=3).map(np.array)
 
@@ -72,7 +72,7 @@ def test_phase_error_is_the_turn_of_the_phasor() -> None:
     a, b = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.2, -0.3])
     turn = math.radians(7.0)
     phasor = (a + 1j * b) * np.exp(1j * turn)
-    pair = Pair(8.0, a, b, phasor.real, phasor.imag, 0.01, frozenset())
+    pair = MotionComparison(8.0, a, b, phasor.real, phasor.imag, 0.01, frozenset())
     assert pair.phase_error_deg == pytest.approx(7.0)
     assert pair.error_mm == pytest.approx(0.0, abs=1e-12)
     assert pair.minor_error_mm == pytest.approx(0.0, abs=1e-12)

@@ -1,4 +1,4 @@
-"""Figures of merit of errors made up to have known ones."""
+"""ErrorStatistics of merit of errors made up to have known ones."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from labdaemon.bench.bound import BoundTable
-from labdaemon.bench.pairs import Pair
+from labdaemon.bench.pairs import MotionComparison
 from labdaemon.bench.statistics import figures, median_phase_error_deg
 
 
 def pairs_with(
     errors: np.ndarray, amplitude: float = 1.0, sd: float = 0.01, flags: frozenset[str] = frozenset()
-) -> list[Pair]:
+) -> list[MotionComparison]:
     zero = np.zeros(3)
     direction = np.array([0.6, 0.0, 0.8])
     return [
-        Pair(8.0, amplitude * direction, zero, (amplitude + e) * direction, zero, sd, flags, (e / sd,)) for e in errors
+        MotionComparison(8.0, amplitude * direction, zero, (amplitude + e) * direction, zero, sd, flags, (e / sd,))
+        for e in errors
     ]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.bench.verdict import Verdict, judge
+from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import transitions
 from labdaemon.testing.lab import FakeLab
@@ -24,7 +24,7 @@ exposure_s = 1.0
 def judged(tmp_path: Path):
     """Run a campaign, do something to its folder, and judge it."""
 
-    def run(damage) -> Verdict:
+    def run(damage) -> CampaignVerdict:
         clock = SimulatedClock()
 
         async def main() -> int:
@@ -42,8 +42,8 @@ def judged(tmp_path: Path):
 
 
 def test_a_good_folder_is_well(judged):
-    assert judged(lambda lab, id: None) == Verdict()
-    assert Verdict().is_well
+    assert judged(lambda lab, id: None) == CampaignVerdict()
+    assert CampaignVerdict().is_well
 
 
 def test_every_kind_of_damage_is_seen(judged):

@@ -14,7 +14,7 @@ from labdaemon.cli.calibrate_camera import camera_table
 from labdaemon.errors import DataError, UsageError
 from labdaemon.geometry.lens import Lens
 from labdaemon.processing.calibration import Calibration
-from labdaemon.report.residuals import residual_picture
+from labdaemon.report.residuals import draw_residuals
 
 RESULT = Calibration(
     Lens((3872, 2592), (3937.7, 3938.1), (1942.8, 1283.7), (-0.09, 0.07, 3e-4, -2e-4, 0.001)),
@@ -46,11 +46,11 @@ def test_the_table_reads_back_and_says_how_sure_it_is() -> None:
 
 
 def test_the_residual_picture_shows_every_residual() -> None:
-    picture = residual_picture((3872, 2592), RESULT.image_px, RESULT.residuals_px, 0.1, "left")
-    assert picture.shape == (60 + 938, 1400, 3)
+    image = draw_residuals((3872, 2592), RESULT.image_px, RESULT.residuals_px, 0.1, "left")
+    assert image.shape == (60 + 938, 1400, 3)
     x, y = ((RESULT.image_px[0] + 0.5) * 1400 / 3872 + [0, 60]).astype(int)
-    assert picture[y, x].max() < 255
-    assert picture[500, 700].min() == 255
+    assert image[y, x].max() < 255
+    assert image[500, 700].min() == 255
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from labdaemon.geometry.network import Pose
 from labdaemon.geometry.oriented_camera import rotation_from_vector
 from labdaemon.imaging.codes import dictionary
 from labdaemon.imaging.rings import code_book
-from labdaemon.processing.boards import BoardPicture, Charuco
+from labdaemon.processing.boards import BoardImage, Charuco
 from labdaemon.processing.calibration import board_files, calibrate, read_board, weaknesses
 
 LENS = Lens((960, 640), (1000.0, 1002.0), (484.0, 316.0), (-0.12, 0.08, 4e-4, -3e-4, 0.0))
@@ -34,7 +34,7 @@ def poses(count: int, *, rolled: bool = True, tilted: bool = True, distance: flo
     return result
 
 
-def board_numbers(count: int, sd: float = 0.05, **kind: bool) -> tuple[list[BoardPicture], list[Pose]]:
+def board_numbers(count: int, sd: float = 0.05, **kind: bool) -> tuple[list[BoardImage], list[Pose]]:
     """What an ideal detector would report of the inner corners."""
     rng = np.random.default_rng(5)
     places = np.array([[x, y] for y in range(1, 6) for x in range(1, 9)], dtype=float)
@@ -46,7 +46,7 @@ def board_numbers(count: int, sd: float = 0.05, **kind: bool) -> tuple[list[Boar
         seen = np.flatnonzero(LENS.contains(pixels))
         names = tuple(f"{i}" for i in seen)
         pictures.append(
-            BoardPicture(Path(f"{k}.png"), (960, 640), "", names, pixels[seen], places[seen], np.zeros(len(seen)))
+            BoardImage(Path(f"{k}.png"), (960, 640), "", names, pixels[seen], places[seen], np.zeros(len(seen)))
         )
     return pictures, cameras
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.oriented_camera import OrientedCamera
-from labdaemon.processing.correspond import SeenDots, Track, correspond, meet
-from labdaemon.processing.naming import names_in_picture, names_in_space, names_like, near_places
+from labdaemon.processing.correspond import DetectedDots, Track, correspond, intersect_rays
+from labdaemon.processing.naming import names_in_image, names_in_space, names_like, near_places
 
 LENS = Lens((3872, 2592), (3937.0, 3937.0), (1935.0, 1295.0), (-0.09, 0.07, 0.0003, -0.0002, 0.0))
 FAR_LEFT, FAR_RIGHT, ABOVE = (-500.0, -1000.0, 350.0), (500.0, -1000.0, 350.0), (0.0, -1000.0, 750.0)
@@ -38,7 +38,7 @@ def see(view: OrientedCamera, places: np.ndarray, sizes: np.ndarray, rng: np.ran
     kept = rng.permutation(len(places))[lost:]
     pixels = np.concatenate([pixels[kept], rng.uniform(200, 2300, (clutter, 2))])
     radius = np.concatenate([radius[kept], rng.uniform(6, 30, clutter)])
-    return SeenDots(view, pixels, radius), np.concatenate([kept, np.full(clutter, -1)])
+    return DetectedDots(view, pixels, radius), np.concatenate([kept, np.full(clutter, -1)])
 
 
 def score(tracks: list[Track], who: list[np.ndarray]) -> tuple[int, int]:
@@ -75,20 +75,20 @@ def test_places_are_where_the_targets_are() -> None:
 
 
 def test_two_dots_that_could_be_either_are_marked() -> None:
-    # Level cameras, one row, sizes of no help: both pairings of the two dots meet equally well.
+    # Level cameras, one row, sizes of no help: both pairings of the two dots intersect_rays equally well.
     views = (look(FAR_LEFT), look(FAR_RIGHT))
     places = np.array([[-2.0, 0.0, 350.0], [2.0, 0.0, 350.0]])
     seen = []
     for view in views:
         radius = 8.0 / 2 * 3937 / view.to_camera_axes(places)[:, 2]
-        seen.append(SeenDots(view, view.project(places), radius))
+        seen.append(DetectedDots(view, view.project(places), radius))
     tracks = correspond(seen, [8.0])
     assert len(tracks) == 2
     assert not any(track.sure for track in tracks)
 
 
 def test_nothing_seen_nothing_matched() -> None:
-    empty = SeenDots(look(FAR_LEFT), np.empty((0, 2)), np.empty(0))
+    empty = DetectedDots(look(FAR_LEFT), np.empty((0, 2)), np.empty(0))
     assert correspond([empty, empty], [8.0]) == []
 
 
@@ -97,7 +97,7 @@ def test_rays_meet_and_one_ray_does_not() -> None:
     views = [look(FAR_LEFT), look(FAR_RIGHT)]
     pixels = np.stack([view.project(places) for view in views])
     pixels[1, 0] = np.nan
-    met = meet(views, pixels)
+    met = intersect_rays(views, pixels)
     assert np.isnan(met[0]).all()
     assert np.abs(met[1:] - places[1:]).max() < 1e-6
 
@@ -115,7 +115,7 @@ def test_names_go_by_place_and_stay() -> None:
     again = names_like(later, places, tuple(names), 15.0)
     assert again[:-1] == [names[i] for i in order[3:]]
     assert again[-1] not in names
-    assert names_in_picture(np.array([[500.0, 90.0], [10.0, 100.0], [20.0, 400.0]])) == ["T02", "T01", "T03"]
+    assert names_in_image(np.array([[500.0, 90.0], [10.0, 100.0], [20.0, 400.0]])) == ["T02", "T01", "T03"]
     assert names_in_space(np.empty((0, 3))) == []
 
 

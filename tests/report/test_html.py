@@ -17,7 +17,7 @@ from labdaemon.processing.tables import ENVELOPE_COLUMNS, write_csv
 from labdaemon.report.accuracy import compare
 from labdaemon.report.figures import MAGNIFY, envelope_svg, errors_svg
 from labdaemon.report.folder_page import report_folder
-from labdaemon.report.html import CaptureResult, page
+from labdaemon.report.html import CaptureSection, page
 
 
 def envelope(capture: str = "c1", count: int = 12, scale: float = 1.0) -> list[dict[str, Any]]:
@@ -58,7 +58,7 @@ def test_the_page_is_whole_and_fetches_nothing() -> None:
     rows = envelope()
     truth = [{key: value for key, value in row.items() if key != "flags"} for row in rows if row["target"] != "T2"]
     text = page(
-        "A <b>title</b>", "sub", [CaptureResult("c1", rows, {"excitation": "5 Hz"}, (), compare("c1", rows, truth))]
+        "A <b>title</b>", "sub", [CaptureSection("c1", rows, {"excitation": "5 Hz"}, (), compare("c1", rows, truth))]
     )
     collector = Collector()
     collector.feed(text)
@@ -98,7 +98,7 @@ def test_one_plane_has_one_view() -> None:
 def test_a_capture_without_numbers_says_so() -> None:
     rows = [dict.fromkeys(ENVELOPE_COLUMNS) | {"capture": "c", "target": "A", "flags": ["not_found"]}]
     assert "Nothing was measured" in envelope_svg(rows)
-    assert "0 of 1" in page("t", "", [CaptureResult("c", rows)])
+    assert "0 of 1" in page("t", "", [CaptureSection("c", rows)])
 
 
 def test_a_folders_page_tells_what_its_capture_files_say(tmp_path: Path) -> None:

@@ -22,10 +22,10 @@ def row(target: str, *numbers: float | None, flags: tuple[str, ...] = ()) -> Row
     }
 
 
-def painted(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+def painted(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     """(n, 2) x and y of pixels of a colour, below the caption."""
-    y, x = np.nonzero((np.abs(picture.astype(int) - colour) < 45).all(axis=2))
-    band = round(46 * max(picture.shape[:2]) / 1000) + 1
+    y, x = np.nonzero((np.abs(image.astype(int) - colour) < 45).all(axis=2))
+    band = round(46 * max(image.shape[:2]) / 1000) + 1
     return np.column_stack([x, y])[y > band]
 
 
@@ -33,27 +33,27 @@ GREY = np.full((600, 800), 0.4, np.float32)
 
 
 def test_a_vector_is_drawn_twenty_times_as_long_about_its_target() -> None:
-    picture = draw_overlay(GREY, [row("T01", 400.0, 300.0, 6.0, 0.0, 0.0, 0.0)], title="c1")
-    at = painted(picture, CLEAN)
-    assert picture.shape == (600, 800, 3)
+    image = draw_overlay(GREY, [row("T01", 400.0, 300.0, 6.0, 0.0, 0.0, 0.0)], title="c1")
+    at = painted(image, CLEAN)
+    assert image.shape == (600, 800, 3)
     assert abs(at[:, 0].min() - (400 - 120)) <= 3
     assert abs(at[:, 0].max() - (400 + 120)) <= 3
     assert abs(at[:, 1].mean() - 300) < 3
 
 
 def test_an_orbit_is_drawn_as_one() -> None:
-    picture = draw_overlay(GREY, [row("T01", 400.0, 300.0, 6.0, 0.0, 0.0, 3.0)], title="c1")
-    at = painted(picture, CLEAN)
+    image = draw_overlay(GREY, [row("T01", 400.0, 300.0, 6.0, 0.0, 0.0, 3.0)], title="c1")
+    at = painted(image, CLEAN)
     assert abs(at[:, 1].min() - (300 - 60)) <= 3
     assert abs(at[:, 1].max() - (300 + 60)) <= 3
 
 
 def test_large_frames_are_reduced_with_their_vectors() -> None:
-    picture = draw_overlay(
+    image = draw_overlay(
         np.full((2700, 3600), 0.4, np.float32), [row("T", 1800.0, 1350.0, 10.0, 0.0, 0.0, 0.0)], title=""
     )
-    assert picture.shape == (1350, 1800, 3)
-    at = painted(picture, CLEAN)
+    assert image.shape == (1350, 1800, 3)
+    at = painted(image, CLEAN)
     assert abs(at[:, 0].max() - (900 + 100)) <= 4
 
 
@@ -69,15 +69,15 @@ def test_large_frames_are_reduced_with_their_vectors() -> None:
 def test_colours_say_what_a_row_is(
     numbers: tuple[float | None, ...], flags: tuple[str, ...], colour: tuple[int, int, int]
 ) -> None:
-    picture = draw_overlay(GREY, [row("T01", *numbers, flags=flags)], title="c1")
+    image = draw_overlay(GREY, [row("T01", *numbers, flags=flags)], title="c1")
     for other in COLOURS.values():
-        assert (len(painted(picture, other)) > 0) == (other == colour)
+        assert (len(painted(image, other)) > 0) == (other == colour)
 
 
 def test_a_target_without_a_place_draws_nothing() -> None:
     lost = row("T01", None, None, None, None, None, None, flags=("not_found",))
-    picture = draw_overlay(GREY, [lost], title="c1")
-    assert all(len(painted(picture, colour)) == 0 for colour in COLOURS.values())
+    image = draw_overlay(GREY, [lost], title="c1")
+    assert all(len(painted(image, colour)) == 0 for colour in COLOURS.values())
 
 
 def test_written_as_png_and_refused_where_it_cannot_be(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.bench.killed import QuickMeasurer
+from labdaemon.bench.kill_child import QuickMeasurer
 from labdaemon.errors import DataError
 from labdaemon.processing import WorkerPool
 from labdaemon.service.measuring import PoolMeasurer

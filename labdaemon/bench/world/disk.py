@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labdaemon.bench.kill import Victim, small_rig
-from labdaemon.bench.verdict import Verdict, judge
-from labdaemon.bench.world.row import Options, Row
+from labdaemon.bench.kill import DaemonUnderTest, small_rig
+from labdaemon.bench.verdict import CampaignVerdict, judge
+from labdaemon.bench.world.row import Row, WorldOptions
 
 STEPS = 4
 REST_S = 15.0
@@ -35,17 +35,17 @@ SMALLEST_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DiskOutcome:
     """What one try came to: seconds until the table rested (infinite if it did not), and what is left on disk."""
 
     rest_s: float
-    verdict: Verdict
+    verdict: CampaignVerdict
 
 
-Trouble = Callable[[Victim], AbstractContextManager[None]]
+Trouble = Callable[[DaemonUnderTest], AbstractContextManager[None]]
 
 
-def rows(options: Options) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[Row]:
     """A row for each kind of trouble."""
     tries, moments = 1 if options.quick else 5, random.Random(options.seed)
     for what, trouble, must_rest in (
@@ -58,7 +58,7 @@ def rows(options: Options) -> Iterator[Row]:
             continue  # mounting a small disk needs root; the quota stands for it
         found = [_try(trouble, options.seed + number, moments) for number in range(tries)]
         slowest_s = max(one.rest_s for one in found)
-        verdict = sum((one.verdict for one in found), Verdict())
+        verdict = sum((one.verdict for one in found), CampaignVerdict())
         lost = f"{verdict.frames_lost} lost, {verdict.results_repeated} repeated, {verdict.results_missing} missing, "
         lost += f"{verdict.seq_gaps} gaps, {verdict.open_ends} open"
         if must_rest:
@@ -70,9 +70,9 @@ def rows(options: Options) -> Iterator[Row]:
 
 
 @contextmanager
-def full(victim: Victim) -> Iterator[None]:
+def full(daemon: DaemonUnderTest) -> Iterator[None]:
     """One file takes all room."""
-    filler = victim.folder / "filler"
+    filler = daemon.folder / "filler"
     with suppress(OSError), filler.open("wb", buffering=0) as file:
         while True:
             file.write(b"\0" * 4096)
@@ -81,9 +81,9 @@ def full(victim: Victim) -> Iterator[None]:
 
 
 @contextmanager
-def over_quota(victim: Victim) -> Iterator[None]:
+def over_quota(daemon: DaemonUnderTest) -> Iterator[None]:
     """The daemon may let no file grow, as under a quota: free space says nothing of it."""
-    pid = victim.process.pid
+    pid = daemon.process.pid
     soft, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (SMALLEST_BYTES, hard))
     yield
@@ -91,9 +91,9 @@ def over_quota(victim: Victim) -> Iterator[None]:
 
 
 @contextmanager
-def locked(victim: Victim) -> Iterator[None]:
+def locked(daemon: DaemonUnderTest) -> Iterator[None]:
     """Another process holds the journal's lock, as a backup does."""
-    other = sqlite3.connect(victim.data / "journal.db", PATIENCE_S, isolation_level=None)
+    other = sqlite3.connect(daemon.data / "journal.db", PATIENCE_S, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
     yield
     other.execute("ROLLBACK")
@@ -101,9 +101,9 @@ def locked(victim: Victim) -> Iterator[None]:
 
 
 @contextmanager
-def unread(victim: Victim) -> Iterator[None]:
-    """Nobody reads the log, whose pipe is full."""
-    pipe = os.open(victim.folder / "daemon.log", os.O_WRONLY | os.O_NONBLOCK)
+def unread(daemon: DaemonUnderTest) -> Iterator[None]:
+    """No process reads the log, whose pipe is full."""
+    pipe = os.open(daemon.folder / "daemon.log", os.O_WRONLY | os.O_NONBLOCK)
     with suppress(BlockingIOError):
         while True:
             os.write(pipe, b"\n" * 512)
@@ -111,41 +111,41 @@ def unread(victim: Victim) -> Iterator[None]:
     os.close(pipe)
 
 
-def _try(trouble: Trouble, seed: int, moments: random.Random) -> Outcome:
+def _try(trouble: Trouble, seed: int, moments: random.Random) -> DiskOutcome:
     with _folder(is_small_disk=trouble is full) as folder, small_rig(seed, enable_wired=False) as rig:
-        victim = Victim(rig, folder)
-        text = victim.config.read_text()
-        victim.config.write_text(text.replace("[interlocks]\n", f"[interlocks]\n{INTERLOCKS}"))
+        daemon = DaemonUnderTest(rig, folder)
+        text = daemon.config.read_text()
+        daemon.config.write_text(text.replace("[interlocks]\n", f"[interlocks]\n{INTERLOCKS}"))
         reader = None
         if trouble is unread:
             os.mkfifo(folder / "daemon.log")
             reader = os.open(folder / "daemon.log", os.O_RDONLY | os.O_NONBLOCK)
         try:
-            return _campaign(victim, rig, trouble, moments)
+            return _campaign(daemon, rig, trouble, moments)
         finally:
-            victim.kill()
+            daemon.kill()
             if reader is not None:
                 os.close(reader)
 
 
-def _campaign(victim: Victim, rig: Any, trouble: Trouble, moments: random.Random) -> Outcome:
-    victim.start()
+def _campaign(daemon: DaemonUnderTest, rig: Any, trouble: Trouble, moments: random.Random) -> DiskOutcome:
+    daemon.start()
     for _ in range(3):  # on a busy computer the first answer may come late; asked again it queues nothing twice
-        victim.submit(STEPS)
+        daemon.submit(STEPS)
         if _until(lambda: rig.table()["moving"], 40.0):
             break
     else:
         raise RuntimeError("the table never moved; see the daemon's log")
     time.sleep(moments.uniform(0.0, 2.0))
-    with trouble(victim):
+    with trouble(daemon):
         began = time.monotonic()
         rested = _until(lambda: not rig.table()["moving"], REST_S + 5.0)
         rest_s = time.monotonic() - began if rested else float("inf")
         time.sleep(moments.uniform(5.0, 10.0))
-    _until(victim.is_complete, PATIENCE_S)
-    victim.end()
+    _until(daemon.is_complete, PATIENCE_S)
+    daemon.end()
     on_cards = sum(len(files) for files in rig.control.ask("cards").values())
-    return Outcome(rest_s, judge(victim.data, taken=len(rig.truth()), on_cards=on_cards, captures=STEPS))
+    return DiskOutcome(rest_s, judge(daemon.data, taken=len(rig.truth()), on_cards=on_cards, captures=STEPS))
 
 
 @contextmanager

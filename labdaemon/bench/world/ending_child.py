@@ -12,7 +12,7 @@ import threading
 import time
 from pathlib import Path
 
-from labdaemon.bench.killed import QuickMeasurer
+from labdaemon.bench.kill_child import QuickMeasurer
 from labdaemon.service.config import load_rig
 from labdaemon.service.daemon import Options, run_daemon
 

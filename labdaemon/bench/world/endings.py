@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from labdaemon.bench.verdict import Verdict
+from labdaemon.bench.verdict import CampaignVerdict
 from labdaemon.bench.world.memory_limit import memory_limit
-from labdaemon.bench.world.row import Options, Row
+from labdaemon.bench.world.row import Row, WorldOptions
 from labdaemon.bench.world.subject import Subject, subject
 
 DEATH_S = 2.0
@@ -55,9 +55,9 @@ ENDINGS: dict[str, tuple[End, float]] = {
 """How the daemon ends, and how long the table may move then, seconds."""
 
 
-def rows(options: Options) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[Row]:
     """A row for each kind of ending, and one for what was lost in all of them."""
-    moments, verdict, tried = random.Random(options.seed), Verdict(), 0
+    moments, verdict, tried = random.Random(options.seed), CampaignVerdict(), 0
     for place, (what, (end, limit_s)) in enumerate(ENDINGS.items()):
         tries = QUICK if options.quick else ALL // len(ENDINGS) + (place < ALL % len(ENDINGS))
         with subject(options.seed + place) as daemon:

@@ -18,7 +18,7 @@ from typing import Any
 from labdaemon.bench.kill import small_rig
 from labdaemon.bench.simulator import folder_maker
 from labdaemon.bench.world.mutations import mutated_bytes, mutated_text
-from labdaemon.bench.world.row import Options, Row
+from labdaemon.bench.world.row import Row, WorldOptions
 
 MEMORY_MB = 500.0
 LONGEST_S = 10.0
@@ -98,7 +98,7 @@ class Findings:
         return Row("fuzz", what, self.tries, result, GOAL, holds)
 
 
-class Commands:
+class FuzzCommands:
     """Runs `labdaemon` commands in a process that is started anew when it has died or hangs for good."""
 
     def __init__(self) -> None:
@@ -130,10 +130,10 @@ class Commands:
             self._process = None
 
 
-def rows(options: Options) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[Row]:
     """A row for each kind of file."""
     root = Path(tempfile.mkdtemp(prefix="labdaemon-fuzz-"))
-    commands = Commands()
+    commands = FuzzCommands()
     source = random.Random(options.seed)
     try:
         yield _files(options, source, root, commands).row("campaign and rig files")
@@ -145,7 +145,7 @@ def rows(options: Options) -> Iterator[Row]:
         shutil.rmtree(root, ignore_errors=True)
 
 
-def _files(options: Options, source: random.Random, root: Path, commands: Commands) -> Findings:
+def _files(options: WorldOptions, source: random.Random, root: Path, commands: FuzzCommands) -> Findings:
     """Mutated campaigns and rig files to `plan`."""
     found = Findings()
     where = root / "rig"
@@ -166,7 +166,9 @@ def _files(options: Options, source: random.Random, root: Path, commands: Comman
     return found
 
 
-def _folders(options: Options, source: random.Random, folder: Path, root: Path, commands: Commands) -> Findings:
+def _folders(
+    options: WorldOptions, source: random.Random, folder: Path, root: Path, commands: FuzzCommands
+) -> Findings:
     """A data-set folder with one of its text files changed, or a file missing, renamed or replaced, to `process`."""
     found = Findings()
     changed = root / "changed"
@@ -202,7 +204,7 @@ def _mutate_folder(source: random.Random, folder: Path) -> Path:
     return path
 
 
-def _frames(options: Options, source: random.Random, folder: Path, root: Path, commands: Commands) -> Findings:
+def _frames(options: WorldOptions, source: random.Random, folder: Path, root: Path, commands: FuzzCommands) -> Findings:
     """A sharp frame, and a blurred one that is damaged, to `measure`."""
     found = Findings()
     [capture, *_] = sorted((folder / "captures").iterdir())

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import zmq
 
-from labdaemon.bench.kill import Victim, small_rig
+from labdaemon.bench.kill import DaemonUnderTest, small_rig
 from labdaemon.bench.world.mutations import message
-from labdaemon.bench.world.row import Options, Row
+from labdaemon.bench.world.row import Row, WorldOptions
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
@@ -29,21 +29,21 @@ PROBE_EVERY = 500
 GOAL = f"alive, 0 tracebacks, no answer later than {SILENT_S:g} s, <= {MEMORY_MB:g} MB"
 
 
-def rows(options: Options) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[Row]:
     """One row for both sockets."""
     tries = 2000 if options.quick else 50_000
     source = random.Random(options.seed)
     folder = Path(tempfile.mkdtemp(prefix="labdaemon-messages-"))
     try:
         with small_rig(options.seed) as rig:
-            victim = Victim(rig, folder)
-            victim.start()
+            daemon = DaemonUnderTest(rig, folder)
+            daemon.start()
             try:
-                slowest_s = _attack(victim, source, tries)
-                memory_mb = _memory_mb(victim.process.pid)
-                is_alive = victim.process.poll() is None
+                slowest_s = _attack(daemon, source, tries)
+                memory_mb = _memory_mb(daemon.process.pid)
+                is_alive = daemon.process.poll() is None
             finally:
-                victim.end()
+                daemon.end()
         tracebacks = (folder / "daemon.log").read_text(errors="replace").count("Traceback")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -55,21 +55,21 @@ def rows(options: Options) -> Iterator[Row]:
     yield Row("messages", "surrogates, bombs, rubbish, raw TCP to both sockets", tries, result, GOAL, holds)
 
 
-def _attack(victim: Victim, source: random.Random, tries: int) -> float:
+def _attack(daemon: DaemonUnderTest, source: random.Random, tries: int) -> float:
     """Send so many messages; the slowest answer to a `status` in between, infinite where one did not come."""
     slowest_s = 0.0
-    with Client(victim.commands, timeout_s=SILENT_S * 3) as probe:
+    with Client(daemon.commands, timeout_s=SILENT_S * 3) as probe:
         address = probe.call("rig")["service"]["events"]
         sent = 0
         while sent < tries:
             with zmq.Context() as context:
                 dealer, subscriber = context.socket(zmq.DEALER), context.socket(zmq.XSUB)
-                for one, where in ((dealer, victim.commands), (subscriber, address)):
+                for one, where in ((dealer, daemon.commands), (subscriber, address)):
                     one.set(zmq.LINGER, 0)
                     one.set(zmq.SNDTIMEO, 2000)
                     one.connect(where)
                 for _ in range(min(PROBE_EVERY, tries - sent)):
-                    _send(source, dealer, subscriber, (victim.commands, address))
+                    _send(source, dealer, subscriber, (daemon.commands, address))
                     sent += 1
                 context.destroy(linger=0)
             began_s = time.monotonic()

@@ -10,7 +10,7 @@ HEADS = ("section", "what", "tries", "result", "goal", "holds")
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class WorldOptions:
     """How a person started it.
 
     Attributes

@@ -17,8 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from labdaemon.bench.kill import Victim, small_rig
-from labdaemon.bench.world.row import Options, Row
+from labdaemon.bench.kill import DaemonUnderTest, small_rig
+from labdaemon.bench.world.row import Row, WorldOptions
 from labdaemon.stream.client import Client
 
 CAMPAIGN = """
@@ -41,7 +41,7 @@ NUMBERS = [f"{sd}{motion}{axis}_mm" for sd in ("", "sd_") for motion in ("", "a"
 LEVEL = re.compile(r"VOLT ([0-9.eE+-]+)$")
 
 
-def rows(options: Options) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[Row]:
     """One row: the slowest of nearly all stops."""
     tries = 10 if options.quick else 120
     folder = Path(tempfile.mkdtemp(prefix="labdaemon-stopping-"))
@@ -101,18 +101,18 @@ def _paced(rig: Any) -> Iterator[Wire]:
 
 def _stops(rig: Any, wire: Wire, folder: Path, tries: int, seed: int) -> Iterator[float]:
     """Seconds of each stop."""
-    victim = Victim(rig, folder)
-    text = victim.config.read_text().replace(rig.addresses.ports["shaker"], f"socket://127.0.0.1:{wire.port}")
-    victim.config.write_text(text)
-    victim.start()
-    victim.end()
-    _write_history(victim.data / "journal.db")
-    victim.start()
-    command = [sys.executable, "-m", "labdaemon.bench.world.greedy_clients", victim.commands]
+    daemon = DaemonUnderTest(rig, folder)
+    text = daemon.config.read_text().replace(rig.addresses.ports["shaker"], f"socket://127.0.0.1:{wire.port}")
+    daemon.config.write_text(text)
+    daemon.start()
+    daemon.end()
+    _write_history(daemon.data / "journal.db")
+    daemon.start()
+    command = [sys.executable, "-m", "labdaemon.bench.world.greedy_clients", daemon.commands]
     moments = random.Random(seed)
     try:
         with subprocess.Popen([*command, str(CLIENTS), str(REPLAYS)], stdin=subprocess.PIPE) as greedy:
-            with Client(victim.commands, timeout_s=PATIENCE_S) as client:
+            with Client(daemon.commands, timeout_s=PATIENCE_S) as client:
                 client.call("campaign.submit", toml=CAMPAIGN)
                 for number in range(tries):
                     if number:
@@ -124,7 +124,7 @@ def _stops(rig: Any, wire: Wire, folder: Path, tries: int, seed: int) -> Iterato
             assert greedy.stdin is not None
             greedy.stdin.close()
     finally:
-        victim.end()
+        daemon.end()
 
 
 def _stop(client: Client, wire: Wire) -> float:

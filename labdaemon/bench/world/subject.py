@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from labdaemon.bench.kill import Victim, small_rig
-from labdaemon.bench.verdict import Verdict, judge
+from labdaemon.bench.kill import DaemonUnderTest, small_rig
+from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
@@ -34,7 +34,7 @@ settle = {{ timeout_s = 0.5 }}
 PATIENCE_S = 120.0
 
 
-class Subject(Victim):
+class Subject(DaemonUnderTest):
     """A daemon that walks one short campaign after the other.
 
     Attributes
@@ -81,7 +81,7 @@ class Subject(Victim):
         """Submit a campaign if there is none, and wait until the table moves."""
         wait_for(lambda: self.keep_busy() and self.rig.table()["moving"])
 
-    def finish(self) -> Verdict:
+    def finish(self) -> CampaignVerdict:
         """Let the last campaign complete, end the daemon, and judge what is on disk."""
         wait_for(lambda: self.ask("status")["campaign"] is None)
         self.end()

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.processing.search import Sought, assign, find_again, measure_contrast
-from labdaemon.processing.smears import GreyImage
+from labdaemon.processing.matched_filter import GreyImage
+from labdaemon.processing.target_search import ExpectedTarget, assign, locate_targets, measure_contrast
 
 RADIUS = 10.0
 
@@ -41,9 +41,9 @@ def draw(
     return cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
 
 
-def sought(places: np.ndarray) -> list[Sought]:
+def expected(places: np.ndarray) -> list[ExpectedTarget]:
     sharp = draw(places, np.zeros_like(places), np.zeros_like(places))
-    plain = [Sought(place, RADIUS, RADIUS, 0.0, 1.0) for place in places]
+    plain = [ExpectedTarget(place, RADIUS, RADIUS, 0.0, 1.0) for place in places]
     contrast = measure_contrast(sharp, plain)
     assert np.all(contrast > 0.5)
     assert np.ptp(contrast) < 0.2 * contrast.mean()
@@ -60,7 +60,7 @@ def test_finds_smears_of_any_length_and_direction_where_they_were() -> None:
     length, angle = np.linspace(0, 30, len(places)), rng.uniform(0, np.pi, len(places))
     a = np.column_stack([length * np.cos(angle), length * np.sin(angle)])
     b = np.where(np.arange(len(places))[:, None] % 4 == 3, a[:, ::-1] * [1, -1], 0.0)
-    found = find_again(draw(places, a, b), sought(places))
+    found = locate_targets(draw(places, a, b), expected(places))
     for place, va, smear in zip(places, a, found, strict=True):
         assert smear is not None
         assert np.hypot(*(smear.centre_px - place)) < 3
@@ -73,7 +73,7 @@ def test_finds_a_structure_that_leans_further_than_to_the_next_label(shift: tupl
     up = (places[:, 1:].max() - places[:, 1:]) / np.ptp(places[:, 1])
     moved = places + up * np.array(shift) + 0.2 * np.array(shift)
     a = np.tile([4.0, 1.0], (len(places), 1))
-    found = find_again(draw(moved, a, 0 * a), sought(places))
+    found = locate_targets(draw(moved, a, 0 * a), expected(places))
     assert all(smear is not None for smear in found)
     assert max(np.hypot(*(s.centre_px - m)) for s, m in zip(found, moved, strict=True) if s is not None) < 3
 
@@ -83,16 +83,16 @@ def test_never_gives_one_smear_to_two_targets_and_says_when_there_is_none() -> N
     here = np.ones(len(places), bool)
     here[[2, 7]] = False
     a = np.tile([6.0, 3.0], (len(places), 1))
-    found = find_again(draw(places[here], a[here], 0 * a[here]), sought(places))
+    found = locate_targets(draw(places[here], a[here], 0 * a[here]), expected(places))
     assert [smear is not None for smear in found] == here.tolist()
 
 
 def test_nothing_to_find() -> None:
     places = grid()
-    assert find_again(np.full((700, 900), 0.9, np.float32), sought(places)) == [None] * len(places)
-    assert find_again(np.zeros((700, 900), np.float32), sought(places)) == [None] * len(places)
-    assert find_again(np.zeros((20, 20), np.float32), sought(places)) == [None] * len(places)
-    assert find_again(np.zeros((700, 900), np.float32), []) == []
+    assert locate_targets(np.full((700, 900), 0.9, np.float32), expected(places)) == [None] * len(places)
+    assert locate_targets(np.zeros((700, 900), np.float32), expected(places)) == [None] * len(places)
+    assert locate_targets(np.zeros((20, 20), np.float32), expected(places)) == [None] * len(places)
+    assert locate_targets(np.zeros((700, 900), np.float32), []) == []
 
 
 @settings(max_examples=25, deadline=None)

@@ -1,8 +1,9 @@
-"""Find each target again in a blurred frame, where its mean position may be many dots away from rest.
+"""Locate each target in a blurred frame, where its mean position may be many dots away from rest.
 
-Most frames show every target near its rest position, and a look around each of them is enough. Where one is missing
-(or two find the same smear) every smear of the frame is listed, and a field of displacements that is nearly affine
-over the structure says which is whose: neighbours on a structure move alike, and a smear has one owner.
+Most frames show every target near its rest position, and a search around each of them is enough. Where one is missing
+(or two claim the same smear) every smear of the frame is listed, and a displacement field that is nearly affine
+over the structure assigns them: neighbours on a structure have nearly the same displacement, and a smear belongs to
+one target.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ from scipy.spatial import KDTree
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.imaging.lazy_image import GreyImage, LazyImage
-from labdaemon.processing.smears import Filter, GreyLike, Smear, all_smears, best_smear, filters, reduce
+from labdaemon.processing.matched_filter import (
+    BlurredTarget,
+    GreyLike,
+    MotionFilter,
+    match_everywhere,
+    match_near,
+    motion_filters,
+    reduce,
+)
 
 LEAST_SCORE = 0.6
 """Correlation below which a place does not look like a dot. Real labels with a rim near the dot score 0.75 to 0.97."""
@@ -28,11 +37,11 @@ NARROW_RADII = 1.5
 SIZE_STEP = 1.15
 """Ratio between the radii for which filters are made."""
 CLASS_STEP = 1.35
-"""Ratio between the radii that are told apart when a whole frame is searched."""
+"""Ratio between the radii of the size classes in which a whole frame is searched."""
 STRAIN = 0.25
 """Largest displacement gradient over the structure."""
 SAMPLE_STEP = 7
-"""One pixel in so many rows and columns tells how bright a picture is."""
+"""One pixel in so many rows and columns is sampled for the brightness of an image."""
 SAMPLES = 2000
 GROWN = 60
 CHOICES = 10
@@ -40,8 +49,8 @@ CHOICES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sought:
-    """A target to find.
+class ExpectedTarget:
+    """A target at rest, as the search expects it in a later frame.
 
     Attributes
     ----------
@@ -65,26 +74,26 @@ class Sought:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reduced:
-    """A grey picture made small enough to search, and how much."""
+class ReducedImage:
+    """A grey image reduced for the search, and its scale."""
 
-    picture: LazyImage
+    image: LazyImage
     scale: int
 
-    def shapes(self, target: Sought) -> tuple[Filter, ...]:
+    def shapes(self, target: ExpectedTarget) -> tuple[MotionFilter, ...]:
         """Filters for a target's ellipse. Nearly equal dots share them, and all but the flattest pass as round."""
         radius = np.sqrt(target.semi_major_px * target.semi_minor_px) / self.scale
         radius = SIZE_STEP ** round(np.log(radius) / np.log(SIZE_STEP))
         ratio = round(10 * target.semi_minor_px / target.semi_major_px) / 10
         if ratio > 0.75:
-            return filters(float(radius), float(radius), 0.0)
+            return motion_filters(float(radius), float(radius), 0.0)
         stretch = np.sqrt(max(ratio, 0.1))
         angle = np.radians(15) * (round(target.angle_rad / np.radians(15)) % 12)
-        return filters(float(radius / stretch), float(radius * stretch), float(angle))
+        return motion_filters(float(radius / stretch), float(radius * stretch), float(angle))
 
 
-def reduced_for(grey: GreyLike, targets: Sequence[Sought]) -> Reduced:
-    """Scale a picture to its own brightness and reduce it until the smallest dot is some seven pixels across."""
+def reduce_for_search(grey: GreyLike, targets: Sequence[ExpectedTarget]) -> ReducedImage:
+    """Scale an image to its own brightness and reduce it until the smallest dot is some seven pixels across."""
     scale = max(1, int(min(target.semi_minor_px for target in targets) / 3.5)) if targets else 1
     sample = grey.sample if isinstance(grey, LazyImage) else grey[::SAMPLE_STEP, ::SAMPLE_STEP].ravel()
     white = float(np.percentile(sample, 99)) if sample.size else 0.0
@@ -95,65 +104,66 @@ def reduced_for(grey: GreyLike, targets: Sequence[Sought]) -> Reduced:
         return reduce(grey[y0 * scale : y1 * scale, x0 * scale : x1 * scale], scale) / unit
 
     height, width = grey.shape
-    return Reduced(LazyImage((height // scale, width // scale), make, sample / unit), scale)
+    return ReducedImage(LazyImage((height // scale, width // scale), make, sample / unit), scale)
 
 
-def measure_contrast(grey: GreyLike, targets: Sequence[Sought]) -> FloatArray:
+def measure_contrast(grey: GreyLike, targets: Sequence[ExpectedTarget]) -> FloatArray:
     """Contrast of each target in the frame it is sharp in, (n,), to be compared with later frames."""
     if not targets:
         return np.empty(0)
-    small = reduced_for(grey, targets)
-    found = [best_smear(small.picture, small.scale, t.centre_px, t.radius_px / 2, small.shapes(t)[:1]) for t in targets]
+    small = reduce_for_search(grey, targets)
+    found = [match_near(small.image, small.scale, t.centre_px, t.radius_px / 2, small.shapes(t)[:1]) for t in targets]
     return np.array([smear.contrast if smear else np.nan for smear in found])
 
 
-def find_again(grey: GreyLike, targets: Sequence[Sought]) -> list[Smear | None]:
-    """Find each target's smear.
+def locate_targets(grey: GreyLike, targets: Sequence[ExpectedTarget]) -> list[BlurredTarget | None]:
+    """Locate each target's smear in a blurred frame.
 
     Parameters
     ----------
     grey
-        (h, w) blurred frame, colours balanced; of a `LazyImage` only the targets' surroundings are made, unless one
-        is missing there.
+        (h, w) blurred frame, colours balanced; of a `LazyImage` only the targets' surroundings are made, unless
+        a target is missing there.
     targets
         What to look for.
 
     Returns
     -------
-    list of Smear or None
+    list of BlurredTarget or None
         In the order of `targets`; None where there is nothing like it.
     """
     if not targets:
         return []
-    small = reduced_for(grey, targets)
-    near = _look_near(small, targets)
-    if all(smear is not None for smear in near) and not _shared(near, targets):
+    small = reduce_for_search(grey, targets)
+    near = _search_near(small, targets)
+    if all(smear is not None for smear in near) and not _losing_claims(near, targets):
         return near
-    wide = _look_everywhere(small, targets)
-    return wide if _total(wide) > _total(_without_shared(near, targets)) else _without_shared(near, targets)
+    wide = _search_everywhere(small, targets)
+    unshared = _without_losing_claims(near, targets)
+    return wide if _total(wide) > _total(unshared) else unshared
 
 
-def _total(found: Sequence[Smear | None]) -> float:
+def _total(found: Sequence[BlurredTarget | None]) -> float:
     return sum(smear.score for smear in found if smear is not None)
 
 
-def likely(smear: Smear, target: Sought) -> bool:
+def is_plausible(smear: BlurredTarget, target: ExpectedTarget) -> bool:
     """Whether a smear could be this target's: dot-like and of its contrast."""
     low, high = CONTRAST_RATIO
     return smear.score >= LEAST_SCORE and low * target.contrast < smear.contrast < high * target.contrast
 
 
-def _look_near(small: Reduced, targets: Sequence[Sought]) -> list[Smear | None]:
-    found: list[Smear | None] = []
+def _search_near(small: ReducedImage, targets: Sequence[ExpectedTarget]) -> list[BlurredTarget | None]:
+    found: list[BlurredTarget | None] = []
     for target in targets:
         reach = NARROW_RADII * target.radius_px
-        smear = best_smear(small.picture, small.scale, target.centre_px, reach, small.shapes(target))
-        found.append(smear if smear is not None and likely(smear, target) else None)
+        smear = match_near(small.image, small.scale, target.centre_px, reach, small.shapes(target))
+        found.append(smear if smear is not None and is_plausible(smear, target) else None)
     return found
 
 
-def _shared(found: Sequence[Smear | None], targets: Sequence[Sought]) -> set[int]:
-    """Targets that found a smear which another one has found, too, and which lies nearer to the other."""
+def _losing_claims(found: Sequence[BlurredTarget | None], targets: Sequence[ExpectedTarget]) -> set[int]:
+    """Targets that claim a smear which another target claims, too, and which lies nearer to the other."""
     owners = [i for i, smear in enumerate(found) if smear is not None]
     losers: set[int] = set()
     if len(owners) < 2:
@@ -167,21 +177,23 @@ def _shared(found: Sequence[Smear | None], targets: Sequence[Sought]) -> set[int
     return losers
 
 
-def _without_shared(found: Sequence[Smear | None], targets: Sequence[Sought]) -> list[Smear | None]:
-    losers = _shared(found, targets)
+def _without_losing_claims(
+    found: Sequence[BlurredTarget | None], targets: Sequence[ExpectedTarget]
+) -> list[BlurredTarget | None]:
+    losers = _losing_claims(found, targets)
     return [None if i in losers else smear for i, smear in enumerate(found)]
 
 
-def _look_everywhere(small: Reduced, targets: Sequence[Sought]) -> list[Smear | None]:
+def _search_everywhere(small: ReducedImage, targets: Sequence[ExpectedTarget]) -> list[BlurredTarget | None]:
     """List all smears of the frame, find the displacement field that explains most targets, and assign."""
-    smears: list[Smear] = []
+    smears: list[BlurredTarget] = []
     weight = np.zeros((len(targets), 0))
     for members in _size_classes(targets):
         typical = sorted(members, key=lambda i: targets[i].semi_minor_px / targets[i].semi_major_px)[len(members) // 2]
-        listed = all_smears(small.picture[:, :], small.scale, small.shapes(targets[typical]), LEAST_SCORE)
+        listed = match_everywhere(small.image[:, :], small.scale, small.shapes(targets[typical]), LEAST_SCORE)
         mine = np.zeros((len(targets), len(listed)))
         for i in members:
-            mine[i] = [smear.score if likely(smear, targets[i]) else 0.0 for smear in listed]
+            mine[i] = [smear.score if is_plausible(smear, targets[i]) else 0.0 for smear in listed]
         smears += listed
         weight = np.concatenate([weight, mine], axis=1)
     if not smears:
@@ -189,19 +201,19 @@ def _look_everywhere(small: Reduced, targets: Sequence[Sought]) -> list[Smear | 
     places = np.array([target.centre_px for target in targets])
     centres = np.array([smear.centre_px for smear in smears])
     chosen = assign(places, centres, weight, least_px=min(target.radius_px for target in targets))
-    found: list[Smear | None] = []
+    found: list[BlurredTarget | None] = []
     for target, j in zip(targets, chosen, strict=True):
         if j < 0:
             found.append(None)
             continue
         reach = target.radius_px / 2
-        closer = best_smear(small.picture, small.scale, smears[j].centre_px, reach, small.shapes(target))
+        closer = match_near(small.image, small.scale, smears[j].centre_px, reach, small.shapes(target))
         found.append(closer if closer is not None and closer.score >= smears[j].score else smears[j])
     return found
 
 
-def _size_classes(targets: Sequence[Sought]) -> list[list[int]]:
-    """Targets whose sizes are so alike that one set of filters finds them all."""
+def _size_classes(targets: Sequence[ExpectedTarget]) -> list[list[int]]:
+    """Targets of nearly equal size, which one set of filters finds."""
     classes: dict[int, list[int]] = {}
     for index, target in enumerate(targets):
         classes.setdefault(round(np.log(target.radius_px) / np.log(CLASS_STEP)), []).append(index)

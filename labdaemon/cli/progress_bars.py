@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 
-class Parts:
+class ProgressBars:
     """A progress display to be called with what is done, how many parts of it, and of how many."""
 
     def __init__(self, console: Console) -> None:

@@ -1,7 +1,7 @@
 """The daemon as `labdaemon bench kill` runs it: it kills itself at a journalled transition, once for each place of it.
 
-``python -m labdaemon.bench.killed CONFIG DATA TRANSITION LEDGER``; an empty TRANSITION never kills. LEDGER lists the
-places that were done before, so that each restart gets further.
+``python -m labdaemon.bench.kill_child CONFIG DATA TRANSITION LEDGER``; an empty TRANSITION never kills. LEDGER lists
+the places that were done before, so that each restart gets further.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ def digest_rows(folder: Path, captures: tuple[str, ...], name: str) -> Measured:
     return Measured(envelope, measurements)
 
 
-class Killer:
+class KillTrigger:
     """Listens to the journal, and ends the process at one transition.
 
     Parameters
     ----------
     transition
-        As `Journal.listen` tells them, as ``capture.fired`` (after its commit) or ``before capture.fired``.
+        As `Journal.listen` reports them, as ``capture.fired`` (after its commit) or ``before capture.fired``.
     ledger
         File of places that were done.
     """
@@ -90,7 +90,7 @@ def main(arguments: list[str]) -> int:
 
     def measurer(pool: WorkerPool, journal: Journal) -> QuickMeasurer:
         if transition:
-            journal.listen(Killer(journal, transition, Path(ledger)))
+            journal.listen(KillTrigger(journal, transition, Path(ledger)))
         return QuickMeasurer(pool)
 
     def ready(commands: str, events: str) -> None:

@@ -1,4 +1,4 @@
-"""Targets that the search did not find: where they should be, to see whether something hangs in front of them."""
+"""Targets that the search did not find: where their neighbours predict them, to see whether they are occluded."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.processing.smears import Smear
+from labdaemon.processing.matched_filter import BlurredTarget
 
 NEIGHBOURS = 4
-"""Targets whose displacements tell that of one between them."""
+"""Number of neighbours whose displacements predict that of a target between them."""
 LEAST_FOUND = 4
-"""Targets that must have been found for the others' places to be known."""
+"""Number of targets that must be found before the others are predicted."""
 
 
-def expected_smears(rest_px: FloatArray, found: Sequence[Smear | None]) -> dict[int, Smear]:
-    """What to look at for the targets that were not found, by their neighbours; empty where too few were found.
+def predict_missing(rest_px: FloatArray, found: Sequence[BlurredTarget | None]) -> dict[int, BlurredTarget]:
+    """Predict the place of each target that was not found from its neighbours; empty where too few were found.
 
     Parameters
     ----------
@@ -35,4 +35,6 @@ def expected_smears(rest_px: FloatArray, found: Sequence[Smear | None]) -> dict[
     reach = np.max([np.abs(smear.a_px) + np.abs(smear.b_px) for smear in seen], axis=0)
     _, nearest = KDTree(rest_px[known]).query(rest_px[lost], k=NEIGHBOURS)
     places = rest_px[lost] + np.median(moved[nearest], axis=1)
-    return {index: Smear(place, reach, np.zeros(2), 0.0, 0.0) for index, place in zip(lost, places, strict=True)}
+    return {
+        index: BlurredTarget(place, reach, np.zeros(2), 0.0, 0.0) for index, place in zip(lost, places, strict=True)
+    }
