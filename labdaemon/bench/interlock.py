@@ -24,10 +24,10 @@ import click
 
 from labdaemon.bench.kill import small_rig
 from labdaemon.campaign.disk import DataDisk
-from labdaemon.campaign.guard import Guard
-from labdaemon.campaign.interlocks import Limits
-from labdaemon.capture.capture import Lab
-from labdaemon.capture.lines import DeviceLine
+from labdaemon.campaign.interlock_monitor import InterlockMonitor
+from labdaemon.campaign.interlocks import InterlockLimits
+from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
@@ -121,7 +121,7 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
     await table.stop(at_once=True)
     await connect_others(rig)
     journal = Journal(data, clock)
-    lab = Lab(rig, table, Recorder(journal, DeviceLine("journal")), clock, data)
+    lab = AcquisitionContext(rig, table, Recorder(journal, ThreadExecutor("journal")), clock, data)
     tripped: list[float] = []
     stopped: list[asyncio.Task[Any]] = []
 
@@ -134,7 +134,7 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
         return None
 
     disk = DataDisk(lab.recorder, lambda: 1 << 40, 0)
-    guard = Guard(lab, Limits(), trip, disk=disk, oldest_s=lambda: 0.0, quiet=quiet)
+    guard = InterlockMonitor(lab, InterlockLimits(), trip, disk=disk, oldest_s=lambda: 0.0, no_capture_in_flight=quiet)
     watching = asyncio.create_task(guard.run())
     found: dict[bool, list[float]] = {False: [], True: []}
     try:
@@ -142,7 +142,7 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
             ramping = number % 2 == 1
             tripped.clear()
             stopped.clear()
-            guard.limits = Limits(gauge_disagreement=None)
+            guard.limits = InterlockLimits(gauge_disagreement=None)
             excitation = Excitation(6.0, 4.0 if ramping else 0.5, max_change_per_cycle=1.0, timeout_s=5.0)
             shaking = asyncio.create_task(table.shake(excitation))
             if ramping:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from labdaemon.campaign.measuring import Measured
+from labdaemon.campaign.measurement_queue import CaptureRows
 from labdaemon.journal.journal import Journal
 from labdaemon.processing import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, WorkerPool
 from labdaemon.service.config import load_rig
@@ -31,11 +31,11 @@ class QuickMeasurer(PoolMeasurer):
         super().__init__(pool)
         self._workers = pool
 
-    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
+    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> CaptureRows:
         return await asyncio.wrap_future(self._workers.submit(digest_rows, folder, tuple(captures), name))
 
 
-def digest_rows(folder: Path, captures: tuple[str, ...], name: str) -> Measured:
+def digest_rows(folder: Path, captures: tuple[str, ...], name: str) -> CaptureRows:
     """A row a frame, whose number is made of its SHA-256."""
     envelope: list[dict[str, Any]] = []
     measurements: list[dict[str, Any]] = []
@@ -48,7 +48,7 @@ def digest_rows(folder: Path, captures: tuple[str, ...], name: str) -> Measured:
             envelope.append(dict.fromkeys(ENVELOPE_COLUMNS) | row)
             row = {"capture": capture, "camera": path.stem, "target": "frame", "x_px": number, "flags": ["not_found"]}
             measurements.append(dict.fromkeys(MEASUREMENT_COLUMNS) | row)
-    return Measured(envelope, measurements)
+    return CaptureRows(envelope, measurements)
 
 
 class KillTrigger:

@@ -21,8 +21,8 @@ from pathlib import Path
 import click
 
 from labdaemon.bench.verdict import CampaignVerdict, judge
-from labdaemon.campaign.attempts import Policy
-from labdaemon.campaign.guard import Pace
+from labdaemon.campaign.interlock_monitor import PollIntervals
+from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.testing.lab import FakeLab
@@ -112,7 +112,7 @@ def soak(data: Path, *, captures: int, hours: float, faults: int, restarts: int 
     fault_every_s, restart_every_s = hours * 3600.0 / (1.2 * faults), hours * 3600.0 / (restarts + 1)
 
     async def run() -> SoakResult:
-        lab = FakeLab(data, clock, policy=Policy(max_tries=8, pace=Pace(1.0, 1.0, 10.0, 60.0)))
+        lab = FakeLab(data, clock, policy=RetryPolicy(max_tries=8, intervals=PollIntervals(1.0, 1.0, 10.0, 60.0)))
         lab.start()
         id = await lab.submit(campaign(captures, hours))
         injected: Counter[str] = Counter()

@@ -43,15 +43,15 @@ TimeOfDay = Annotated[str, Field(pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$")]
 
 
 class SettleSection(Section):
-    """When table and structure count as settled; see `labdaemon.campaign.steps.Settle`."""
+    """When table and structure count as settled; see `labdaemon.campaign.steps.SettleRule`."""
 
     max_change_per_cycle: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.001
     timeout_s: Annotated[float, Field(gt=0, le=3600, strict=True)] = 60.0
     damping_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.01
 
-    def value(self) -> steps.Settle:
+    def value(self) -> steps.SettleRule:
         """The same as the plan carries it."""
-        return steps.Settle(self.max_change_per_cycle, self.timeout_s, self.damping_ratio)
+        return steps.SettleRule(self.max_change_per_cycle, self.timeout_s, self.damping_ratio)
 
 
 class Spacing(Section):

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from labdaemon.campaign.measuring import Measuring
-from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.measurement_queue import MeasurementQueue
+from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.steps import Plan
-from labdaemon.capture.places import campaign_folder
+from labdaemon.capture.paths import campaign_folder
 from labdaemon.capture.recorder import Recorder
 from labdaemon.durable import move_durably, write_durably
 from labdaemon.errors import StorageError
@@ -45,8 +45,8 @@ class CampaignFiles:
 
     recorder: Recorder
     data: Path
-    measuring: Measuring
-    reporter: Reporter
+    queue: MeasurementQueue
+    reporter: CampaignReporter
     files: Mapping[str, str]
 
     async def open(self, record: CampaignRecord, plan: Plan) -> None:
@@ -62,14 +62,14 @@ class CampaignFiles:
 
         async def work() -> None:
             await self.recorder.on_disk(prepare_folder, self.data, record.id, files)
-            await self.measuring.resume(record.id, sizes)
+            await self.queue.resume(record.id, sizes)
 
-        await self.reporter.patiently(work)
+        await self.reporter.with_disk_retry(work)
 
     async def renew(self, record: CampaignRecord) -> None:
         """Write the result files of a campaign that was paused anew: another program may have written to them."""
         try:
-            await self.measuring.rewrite(record.id)
+            await self.queue.rewrite(record.id)
         except JournalError:
             raise
         except StorageError:
@@ -86,12 +86,14 @@ class CampaignFiles:
             The folder refuses the files.
         """
         await self.recorder.write(transitions.accept_digest, record.id, digest)
-        await self.reporter.patiently(lambda: self.recorder.on_disk(renew_folder, self.data, record.id, self.files))
+        await self.reporter.with_disk_retry(
+            lambda: self.recorder.on_disk(renew_folder, self.data, record.id, self.files)
+        )
 
     async def close(self, record: CampaignRecord) -> StorageError | None:
         """Write the result files as the journal has them, synced; the reason where the folder refuses them."""
         try:
-            await self.reporter.patiently(lambda: self.measuring.close(record.id))
+            await self.reporter.with_disk_retry(lambda: self.queue.close(record.id))
         except JournalError:
             raise
         except StorageError as exc:

@@ -17,7 +17,7 @@ _Size = tuple[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class InterlockLimits:
     """When to stop. None switches a check off.
 
     Attributes
@@ -46,7 +46,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class GaugeSample:
     """The structure's semi-amplitude as a gauge read it, at a monotonic time."""
 
     at_s: float
@@ -54,7 +54,7 @@ class Sighting:
     sd_mm: float = 0.0
 
 
-def response_reason(limits: Limits, now: Sighting, before: Sighting | None) -> str | None:
+def check_response(limits: InterlockLimits, now: GaugeSample, before: GaugeSample | None) -> str | None:
     """Too large an answer, or one that grows too fast. A growth within three sd of the readings is noise."""
     if limits.max_response_mm is not None and now.amplitude_mm > limits.max_response_mm:
         return f"the structure moves {now.amplitude_mm:.3g} mm, more than max_response_mm = {limits.max_response_mm:g}"
@@ -70,7 +70,7 @@ def response_reason(limits: Limits, now: Sighting, before: Sighting | None) -> s
     return None
 
 
-def table_reason(limits: Limits, asked_mm: float, read: Sighting) -> str | None:
+def check_table(limits: InterlockLimits, asked_mm: float, read: GaugeSample) -> str | None:
     """The table gauge reads another amplitude than was set."""
     if limits.gauge_disagreement is None:
         return None
@@ -80,7 +80,7 @@ def table_reason(limits: Limits, asked_mm: float, read: Sighting) -> str | None:
     return f"the table gauge reads {read.amplitude_mm:.3g} mm where {asked_mm:.3g} mm was set"
 
 
-def camera_reason(limits: Limits, camera: str, status: CameraStatus) -> str | None:
+def check_camera(limits: InterlockLimits, camera: str, status: CameraStatus) -> str | None:
     """An empty battery or a full card; what a body does not tell is not judged."""
     if status.battery_percent is not None and status.battery_percent < limits.min_battery_percent:
         return f"{camera}: battery at {status.battery_percent} %, less than {limits.min_battery_percent} %; charge it"
@@ -89,7 +89,7 @@ def camera_reason(limits: Limits, camera: str, status: CameraStatus) -> str | No
     return None
 
 
-def envelope_reason(limits: Limits, rows: Iterable[Mapping[str, Any]]) -> str | None:
+def check_envelope(limits: InterlockLimits, rows: Iterable[Mapping[str, Any]]) -> str | None:
     """The measured envelope is too large, or smears reach the edges of their papers.
 
     A target without a flag trips alone. Flagged ones are in doubt: `DOUBTFUL_TO_TRIP` of them trip together, and an
@@ -130,7 +130,7 @@ def _too_large(limit_mm: float, rows: Sequence[Mapping[str, Any]]) -> tuple[list
     return sure, doubtful
 
 
-def stall_reason(limits: Limits, oldest_waiting_s: float) -> str | None:
+def check_workers(limits: InterlockLimits, oldest_waiting_s: float) -> str | None:
     """Workers make no progress."""
     if oldest_waiting_s <= limits.worker_stall_s:
         return None

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from labdaemon.campaign.manual_measuring import ManualMeasuring
-from labdaemon.campaign.manual_request import CaptureRequest, capture_name
-from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.manual_measurements import ManualMeasurements
+from labdaemon.campaign.manual_request import ManualRequest, capture_name
+from labdaemon.campaign.reporter import CampaignReporter
+from labdaemon.campaign.step_runner import StepRunner
 from labdaemon.campaign.table_motion import TableMotion, contradiction, observe_table
-from labdaemon.campaign.walk import Walker
-from labdaemon.capture.capture import Lab, take
+from labdaemon.capture.capture import AcquisitionContext, take
 from labdaemon.capture.devices import CardFile, Firing
 from labdaemon.capture.pairing import Arrivals
-from labdaemon.capture.places import capture_folder
+from labdaemon.capture.paths import capture_folder
 from labdaemon.durable import write_durably
 from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.journal import records, transitions
@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 class ExpectedRelease:
     """A request whose shutters an outside system will release."""
 
-    request: CaptureRequest
+    request: ManualRequest
     campaign: str
     name: str
     until_s: float
@@ -51,9 +51,9 @@ class ManualCaptures:
 
     Parameters
     ----------
-    lab
+    context
         The rig and the journal.
-    measuring
+    measurements
         What becomes of them.
     reporter
         Where faults are reported.
@@ -65,20 +65,20 @@ class ManualCaptures:
 
     def __init__(
         self,
-        lab: Lab,
-        measuring: ManualMeasuring,
-        reporter: Reporter,
+        context: AcquisitionContext,
+        measurements: ManualMeasurements,
+        reporter: CampaignReporter,
         window_s: float,
         failed: Callable[[], None] = lambda: None,
     ) -> None:
         self._failed = failed
-        self._lab, self._reporter, self._window_s = lab, reporter, window_s
-        self.measuring = measuring
+        self._context, self._reporter, self._window_s = context, reporter, window_s
+        self.measurements = measurements
         self.turn = asyncio.Lock()
         """Held while a capture is taken, and by whoever moves the table meanwhile."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._expected: deque[ExpectedRelease] = deque()
-        self._arrivals = Arrivals(tuple(lab.rig.cameras), window_s)
+        self._arrivals = Arrivals(tuple(context.rig.cameras), window_s)
         self._gauge_trouble: str | None = None
         self.exposure_s = 1.0
         """Exposure of captures outside any plan that the daemon releases."""
@@ -88,7 +88,7 @@ class ManualCaptures:
         """Captures that wait for an outside system to release."""
         return len(self._expected)
 
-    async def capture(self, request: CaptureRequest, *, campaign: str | None) -> CaptureRecord:
+    async def capture(self, request: ManualRequest, *, campaign: str | None) -> CaptureRecord:
         """Fire once, as the rig is; returns once fired, with storing and measuring still to come.
 
         Where an outside system releases, its next release is this capture. The answer waits a while for it, and then
@@ -109,9 +109,11 @@ class ManualCaptures:
             Too many captures wait for an outside system already.
         """
         group = request.group
-        if group is not None and records.is_taken(self._lab.recorder.journal, campaign or transitions.MANUAL, group):
+        if group is not None and records.is_taken(
+            self._context.recorder.journal, campaign or transitions.MANUAL, group
+        ):
             raise InvalidParams(f"group {group!r} is the name of a capture, or of a planned group; take another one")
-        if self._lab.rig.trigger is None:
+        if self._context.rig.trigger is None:
             return await self._expect(request, campaign)
         await self.turn.acquire()
         fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
@@ -121,35 +123,35 @@ class ManualCaptures:
 
     async def listen(self, campaign: str | None) -> None:
         """Keep every capture that an outside system fires, until cancelled; one that has come is kept all the same."""
-        id = await self.measuring.open(campaign)
-        walker = Walker(
-            self._lab,
+        id = await self.measurements.open(campaign)
+        runner = StepRunner(
+            self._context,
             id,
-            self.measuring.stored,
+            self.measurements.stored,
             lambda: None,
             lambda: None,
             window_s=self._window_s,
             arrivals=self._arrivals,
             turn=self.turn,
         )
-        async with aclosing(walker.releases(None)) as releases:
+        async with aclosing(runner.releases(None)) as releases:
             async for firing, files in releases:
-                await asyncio.shield(self._start(self._keep(walker, firing, files)))
+                await asyncio.shield(self._start(self._keep(runner, firing, files)))
 
     async def finish(self) -> None:
         """Wait for captures that are still being stored."""
         while self._tasks:
             await asyncio.wait(set(self._tasks))
 
-    async def _take(self, request: CaptureRequest, campaign: str | None, fired: asyncio.Future[CaptureRecord]) -> None:
-        id = await self.measuring.open(campaign)
+    async def _take(self, request: ManualRequest, campaign: str | None, fired: asyncio.Future[CaptureRecord]) -> None:
+        id = await self.measurements.open(campaign)
         exposure_s = request.exposure_s or self.exposure_s
         try:
             await take(
-                self._lab,
+                self._context,
                 self._order(request, id, self._free_name(id, request.label), exposure_s),
                 None,
-                measure=self.measuring.stored,
+                measure=self.measurements.stored,
                 request_id=request.request_id,
                 fired=fired.set_result,
                 describe=partial(self._describe, request),
@@ -161,15 +163,15 @@ class ManualCaptures:
             await self._reporter.fault(exc, campaign=id, step=None, action="recover")
             self._failed()
 
-    async def _expect(self, request: CaptureRequest, campaign: str | None) -> CaptureRecord:
+    async def _expect(self, request: ManualRequest, campaign: str | None) -> CaptureRecord:
         """Have the next outside release be this capture."""
-        now_s = self._lab.clock.monotonic()
+        now_s = self._context.clock.monotonic()
         self._drop_late(now_s)
         again = [one for one in self._expected if request.request_id and one.request.request_id == request.request_id]
         if not again:
             if len(self._expected) >= MOST_EXPECTED:
                 raise Busy(f"{MOST_EXPECTED} captures wait for the outside system to release already")
-            id = await self.measuring.open(campaign)
+            id = await self.measurements.open(campaign)
             name = self._free_name(id, request.label)
             fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
             again = [ExpectedRelease(request, id, name, now_s + EXPECTED_S, fired)]
@@ -180,19 +182,19 @@ class ManualCaptures:
             return expected.fired.result()
         return self._order(request, expected.campaign, expected.name, request.exposure_s or UNKNOWN_EXPOSURE_S)
 
-    async def _keep(self, walker: Walker, firing: Firing | None, files: dict[str, CardFile]) -> None:
+    async def _keep(self, runner: StepRunner, firing: Firing | None, files: dict[str, CardFile]) -> None:
         """Store an outside release as the capture that was asked for, or as one that was not announced."""
-        self._drop_late(self._lab.clock.monotonic())
+        self._drop_late(self._context.clock.monotonic())
         expected = self._expected.popleft() if self._expected else None
-        request = expected.request if expected is not None else CaptureRequest("outside")
-        name = expected.name if expected is not None else self._free_name(walker.campaign, request.label)
-        order = self._order(request, walker.campaign, name, request.exposure_s or UNKNOWN_EXPOSURE_S)
+        request = expected.request if expected is not None else ManualRequest("outside")
+        name = expected.name if expected is not None else self._free_name(runner.campaign, request.label)
+        order = self._order(request, runner.campaign, name, request.exposure_s or UNKNOWN_EXPOSURE_S)
 
         def fired(capture: CaptureRecord) -> None:
             if expected is not None and not expected.fired.done():
                 expected.fired.set_result(capture)
 
-        await walker.keep_outside(
+        await runner.keep_outside(
             order,
             firing,
             files,
@@ -207,16 +209,16 @@ class ManualCaptures:
             log.warning("no outside release within %g s for %s: no longer waited for", EXPECTED_S, late.name)
 
     def _free_name(self, campaign: str, label: str) -> str:
-        journal = self._lab.recorder.journal
+        journal = self._context.recorder.journal
         number, reserved = records.manual_count(journal, campaign) + 1, {one.name for one in self._expected}
         number += len(reserved)
         while (name := capture_name(number, label)) in reserved or records.has_capture(journal, campaign, name):
             number += 1
         return name
 
-    def _order(self, request: CaptureRequest, campaign: str, name: str, exposure_s: float) -> CaptureRecord:
+    def _order(self, request: ManualRequest, campaign: str, name: str, exposure_s: float) -> CaptureRecord:
         """The capture to be. What was stated comes first, then what our own shaker was set to."""
-        own = self._lab.table.excitation
+        own = self._context.table.excitation
         frequency_hz, amplitude_mm = request.frequency_hz, request.amplitude_mm
         if own is not None:
             frequency_hz = own.frequency_hz if frequency_hz is None else frequency_hz
@@ -228,7 +230,7 @@ class ManualCaptures:
             shot=0,
             label=request.label or name,
             is_sharp=request.is_sharp,
-            sharp=name if request.is_sharp else self.measuring.sharp_of(campaign, request.group),
+            sharp=name if request.is_sharp else self.measurements.sharp_of(campaign, request.group),
             grouped=request.group,
             state="intended",
             frequency_hz=frequency_hz,
@@ -238,17 +240,17 @@ class ManualCaptures:
             opening_s={},
             phase_rad=request.phase_rad,
             sd_phase_rad=None,
-            cameras=tuple(self._lab.rig.cameras),
+            cameras=tuple(self._context.rig.cameras),
             files={},
             reason=None,
         )
 
-    async def _describe(self, request: CaptureRequest, capture: CaptureRecord) -> CaptureRecord:
+    async def _describe(self, request: ManualRequest, capture: CaptureRecord) -> CaptureRecord:
         """Take frequency and amplitude from the table gauge where they were not stated, and compare where they were."""
-        if self._lab.table.excitation is not None:
+        if self._context.table.excitation is not None:
             return capture
         try:
-            seen = await observe_table(self._lab.rig, request.frequency_hz, capture.exposure_s)
+            seen = await observe_table(self._context.rig, request.frequency_hz, capture.exposure_s)
         except DeviceError as exc:
             if self._gauge_trouble != str(exc):  # once, not for every capture of a night
                 self._gauge_trouble = str(exc)
@@ -269,15 +271,15 @@ class ManualCaptures:
         if capture.amplitude_mm is None and seen.frequency_hz is not None:
             described = replace(described, amplitude_mm=seen.amplitude_mm)
         if described != capture:
-            await self._lab.recorder.write(transitions.describe_capture, described)
+            await self._context.recorder.write(transitions.describe_capture, described)
         return described
 
     async def _note_motion(self, capture: CaptureRecord, seen: TableMotion) -> None:
         """A sharp set of a table that moves gives shape and names, but no rest position: `process` must know it too."""
         if seen.frequency_hz is None:
             return
-        note = capture_folder(self._lab.data, capture) / "set.toml"
-        await self._lab.recorder.on_disk(write_durably, note, "at_rest = false\n")
+        note = capture_folder(self._context.data, capture) / "set.toml"
+        await self._context.recorder.on_disk(write_durably, note, "at_rest = false\n")
         exc = DeviceError(
             f"sees {seen.amplitude_mm or 0.0:.3g} mm at {seen.frequency_hz:.4g} Hz while the sharp set {capture.name} "
             "was taken: it gives shape and names only; take another one with the table at rest",

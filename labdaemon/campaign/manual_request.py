@@ -12,7 +12,7 @@ RESERVED = frozenset('/\\<>:"|?*#%`$&;')
 
 
 @dataclass(frozen=True, slots=True)
-class CaptureRequest:
+class ManualRequest:
     """A capture outside any campaign, as it was asked for.
 
     Attributes

@@ -22,7 +22,7 @@ from labdaemon.campaign.campaign_file import (
     frequencies,
 )
 from labdaemon.campaign.limits import ShakerLimits, crossed_amplitude, crossed_frequency
-from labdaemon.campaign.steps import Plan, Settle, Shot, Step
+from labdaemon.campaign.steps import Plan, SettleRule, Shot, Step
 from labdaemon.capture.exposure import choose_exposure, common_steps_s
 from labdaemon.errors import ConfigError, LimitError
 
@@ -91,7 +91,7 @@ def make_plan(campaign: Campaign, rig: PlanRig) -> Plan:
         A phase sets the shaker or fires the shutters, and the rig has no shaker or trigger.
     """
     planner = _Planner(campaign, rig)
-    steps = _with_sharp_sets(planner.walk())
+    steps = _with_sharp_sets(planner.drafts())
     if len(steps) > MAX_STEPS:
         raise planner.limit("phase", f"makes more than {MAX_STEPS} steps; split the campaign")
     digest = hashlib.sha256(json.dumps([campaign.toml, rig.digest]).encode()).hexdigest()
@@ -122,7 +122,7 @@ class _Planner:
     def limit(self, key: str | None, message: str) -> LimitError:
         return LimitError(message, source=self.source, key=key)
 
-    def walk(self) -> Iterator[_Draft]:
+    def drafts(self) -> Iterator[_Draft]:
         count = 0
         if first := self.missing_sharp():
             yield from self.phase(*first)
@@ -219,11 +219,11 @@ class _Planner:
         amplitude_mm: float | None,
         shots: tuple[Shot, ...],
         *,
-        settle: Settle | None = None,
+        settle: SettleRule | None = None,
         hold_s: float = 0.0,
         at_rest: bool = True,
     ) -> Step:
-        settle = settle or Settle()
+        settle = settle or SettleRule()
         label = (phase.label or phase.kind) + (f"-{frequency_hz:.3f}hz" if frequency_hz is not None else "")
         shooting_s = sum(shot.exposure_s + self.rig.shot_s for shot in shots)
         moving_s = 0.0

@@ -25,7 +25,7 @@ RECORD_S = 2.0
 """How long the answer to a stop waits for its record in the journal."""
 
 
-class Reporter:
+class CampaignReporter:
     """Faults and campaigns' states.
 
     Parameters
@@ -78,11 +78,11 @@ class Reporter:
 
     async def move(self, campaign: str, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
         """Put a campaign into another state; False if it was in none that leads there."""
-        return await self.patiently(
+        return await self.with_disk_retry(
             lambda: self._recorder.write(transitions.move_campaign, campaign, state, reason, **data)
         )
 
-    async def patiently(self, work: Callable[[], Awaitable[T]]) -> T:
+    async def with_disk_retry(self, work: Callable[[], Awaitable[T]]) -> T:
         """Do it, and do it again after every `StorageUnavailable`, once the disk takes writes."""
         while True:
             try:

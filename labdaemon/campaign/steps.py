@@ -29,7 +29,7 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
-class Settle:
+class SettleRule:
     """When table and structure count as settled."""
 
     max_change_per_cycle: float = 0.001
@@ -55,7 +55,7 @@ class Step:
     shots: tuple[Shot, ...]
     grouped: bool
     """Shots at several phases are measured jointly and reported once."""
-    settle: Settle
+    settle: SettleRule
     on_fault: OnFault
     predicted_s: float
     predicted_bytes: int

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labdaemon.capture.collect import identity, store
-from labdaemon.capture.concurrent import each_to_its_end
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
+from labdaemon.capture.gather import gather_to_completion
 from labdaemon.capture.own_frames import FrameContext, clock_offsets, load_clocks, prepare_cameras, wait_own
 from labdaemon.capture.pairing import CameraClocks, Opening
-from labdaemon.capture.places import (
+from labdaemon.capture.paths import (
     capture_folder,
     capture_toml,
     frame_path,
@@ -36,7 +36,7 @@ steps in round figures (1.3 s for 1.26 s); the next step of a third of a stop is
 
 
 @dataclass(frozen=True, slots=True)
-class CameraChoice:
+class CameraOverrides:
     """What the rig file sets on a body besides the exposure; None leaves it to the body's dials."""
 
     f_number: float | None = None
@@ -44,7 +44,7 @@ class CameraChoice:
 
 
 @dataclass(slots=True)
-class Lab:
+class AcquisitionContext:
     """Everything a capture is taken with.
 
     Attributes
@@ -59,9 +59,9 @@ class Lab:
         What is known of the cameras' clocks, from the journal at first.
     exposures_s
         What each body is set to now.
-    suspects
+    suspect_devices
         Names of devices that a fault was put down to, and that nobody has heard of since.
-    swept
+    partial_files_removed
         Whether the data folder was cleared of what an earlier run left half written.
     """
 
@@ -70,12 +70,12 @@ class Lab:
     recorder: Recorder
     clock: Clock
     data: Path
-    cameras: Mapping[str, CameraChoice] = field(default_factory=dict)
+    cameras: Mapping[str, CameraOverrides] = field(default_factory=dict)
     camera_timeout_s: float = 30.0
     clocks: CameraClocks = field(default_factory=CameraClocks)
     exposures_s: dict[str, float] = field(default_factory=dict)
-    suspects: set[str] = field(default_factory=set)
-    swept: bool = False
+    suspect_devices: set[str] = field(default_factory=set)
+    partial_files_removed: bool = False
     frames: FrameContext = field(init=False)
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ Describe = Callable[[CaptureRecord], Awaitable[CaptureRecord]]
 
 
 async def take(
-    lab: Lab,
+    context: AcquisitionContext,
     order: CaptureRecord,
     excitation: Excitation | None,
     *,
@@ -106,7 +106,7 @@ async def take(
 
     Parameters
     ----------
-    lab
+    context
         What it is taken with.
     order
         What it is to be; its name is new to the journal.
@@ -138,30 +138,30 @@ async def take(
         It came to nothing. Whatever it left, on cards and in the journal, is for `labdaemon.capture.recover`.
     """
     if excitation is not None:
-        await lab.table.shake(excitation)
-    await _expose_for(lab, order.exposure_s)
-    seen = await prepare_cameras(lab.frames)
+        await context.table.shake(excitation)
+    await _expose_for(context, order.exposure_s)
+    seen = await prepare_cameras(context.frames)
 
     begun()
-    await lab.recorder.write(transitions.intend_capture, order)
-    capture, opened_s = await _fire(lab, order, phase_rad, request_id)
+    await context.recorder.write(transitions.intend_capture, order)
+    capture, opened_s = await _fire(context, order, phase_rad, request_id)
     fired(capture)
 
     opening = Opening(capture.campaign, capture.name, opened_s, capture.exposure_s)
-    files = await wait_own(lab.frames, opening, seen)
-    await lab.table.confirm()
-    if excitation is not None and lab.table.excitation != excitation:
+    files = await wait_own(context.frames, opening, seen)
+    await context.table.confirm()
+    if excitation is not None and context.table.excitation != excitation:
         raise InterlockError("the table was stopped during the exposure")
     if describe is not None:
         capture = await describe(capture)
 
-    capture = await keep(lab, capture, files, opening)
+    capture = await keep(context, capture, files, opening)
     await measure(capture)
     return capture
 
 
 async def keep(
-    lab: Lab, capture: CaptureRecord, files: Mapping[str, CardFile], opening: Opening | None = None
+    context: AcquisitionContext, capture: CaptureRecord, files: Mapping[str, CardFile], opening: Opening | None = None
 ) -> CaptureRecord:
     """Store one file a camera as this capture's frames, which the journal then vouches for.
 
@@ -170,13 +170,13 @@ async def keep(
     named = {camera: identity(file) for camera, file in files.items()}
     offsets: list[ClockOffset] = []
     if opening is not None:
-        lab.clocks.follow(files, opening)
-        offsets = clock_offsets(lab.frames, opening, files)
-    await lab.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets)
-    frames = await each_to_its_end(_store(lab, capture, camera, file) for camera, file in files.items())
+        context.clocks.follow(files, opening)
+        offsets = clock_offsets(context.frames, opening, files)
+    await context.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets)
+    frames = await gather_to_completion(_store(context, capture, camera, file) for camera, file in files.items())
     if capture.exposure_s == UNKNOWN_EXPOSURE_S:
-        capture = await _read_exposure(lab, capture, list(frames))
-    return await complete(lab, replace(capture, files=named), list(frames))
+        capture = await _read_exposure(context, capture, list(frames))
+    return await complete(context, replace(capture, files=named), list(frames))
 
 
 def exposure_of(frame: Path) -> float | None:
@@ -190,22 +190,24 @@ def exposure_of(frame: Path) -> float | None:
         return None
 
 
-async def _read_exposure(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
+async def _read_exposure(
+    context: AcquisitionContext, capture: CaptureRecord, frames: list[FrameRecord]
+) -> CaptureRecord:
     """The exposure as the frames state it; unknown it stays where they do not, or where they differ."""
-    named = [await lab.recorder.on_disk(exposure_of, lab.data / frame.path) for frame in frames]
+    named = [await context.recorder.on_disk(exposure_of, context.data / frame.path) for frame in frames]
     known = {round(true, 6) for true in true_steps_s([one for one in named if one is not None])}
     if None in named or len(known) != 1:
         return capture
     described = replace(capture, exposure_s=known.pop())
-    await lab.recorder.write(transitions.describe_capture, described)
+    await context.recorder.write(transitions.describe_capture, described)
     return described
 
 
-async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
+async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
     """Every frame is stored: write what measuring needs beside them, and tell."""
     if not capture.is_sharp:
-        path = capture_folder(lab.data, capture) / "capture.toml"
-        await lab.recorder.on_disk(write_durably, path, capture_toml(capture))
+        path = capture_folder(context.data, capture) / "capture.toml"
+        await context.recorder.on_disk(write_durably, path, capture_toml(capture))
     told = {
         "step": capture.step if capture.step >= 0 else None,
         "label": capture.label,
@@ -221,16 +223,16 @@ async def complete(lab: Lab, capture: CaptureRecord, frames: list[FrameRecord]) 
             for frame in frames
         ],
     }
-    await lab.recorder.write(transitions.complete_capture, capture.campaign, capture.name, told)
+    await context.recorder.write(transitions.complete_capture, capture.campaign, capture.name, told)
     return replace(capture, state="stored")
 
 
-async def _expose_for(lab: Lab, exposure_s: float) -> None:
+async def _expose_for(context: AcquisitionContext, exposure_s: float) -> None:
     """Set every body to this exposure, once."""
-    for name, camera in lab.rig.cameras.items():
-        if lab.exposures_s.get(name) == exposure_s:
+    for name, camera in context.rig.cameras.items():
+        if context.exposures_s.get(name) == exposure_s:
             continue
-        choice = lab.cameras.get(name, CameraChoice())
+        choice = context.cameras.get(name, CameraOverrides())
         own_s = await camera.call(
             lambda driver, choice=choice: driver.configure(  # type: ignore[misc]
                 exposure_s=exposure_s, f_number=choice.f_number, iso=choice.iso
@@ -240,28 +242,28 @@ async def _expose_for(lab: Lab, exposure_s: float) -> None:
             raise DeviceRefused(
                 f"exposes for {own_s:.4g} s where {exposure_s:.4g} s was planned; set its dial to M or S", device=name
             )
-        lab.exposures_s[name] = exposure_s
+        context.exposures_s[name] = exposure_s
 
 
 async def _fire(
-    lab: Lab, order: CaptureRecord, phase_rad: float | None, request_id: str | None
+    context: AcquisitionContext, order: CaptureRecord, phase_rad: float | None, request_id: str | None
 ) -> tuple[CaptureRecord, float]:
     """Release the shutters; the capture with its opening, and the opening on the host's monotonic clock."""
-    if lab.rig.trigger is None:
+    if context.rig.trigger is None:
         raise DeviceError("shutters are released by an outside system; use a phase of kind external", device="trigger")
     try:
-        firing = await lab.rig.trigger.call(
+        firing = await context.rig.trigger.call(
             lambda driver: driver.fire(order.exposure_s, frequency_hz=order.frequency_hz, phase_rad=phase_rad),
             order.exposure_s + CALL_S,
         )
     except DeviceRefused:
         for camera in order.cameras:  # nothing was released, so no camera owes a file
             this = OwedFile(camera, order.campaign, order.name, "", order.exposure_s)
-            await lab.recorder.write(card_records.forget_owed, camera, [this])
+            await context.recorder.write(card_records.forget_owed, camera, [this])
         raise
-    opened_s = lab.clock.monotonic()
+    opened_s = context.clock.monotonic()
     capture = with_opening(order, rfc3339(firing.opened_at), firing.opening_s, firing.phase_rad, firing.sd_phase_rad)
-    await lab.recorder.write(
+    await context.recorder.write(
         transitions.fire_capture,
         capture.campaign,
         capture.name,
@@ -274,14 +276,14 @@ async def _fire(
     return capture, opened_s
 
 
-async def _store(lab: Lab, capture: CaptureRecord, camera: str, file: CardFile) -> FrameRecord:
-    path = frame_path(lab.data, capture, camera, file)
+async def _store(context: AcquisitionContext, capture: CaptureRecord, camera: str, file: CardFile) -> FrameRecord:
+    path = frame_path(context.data, capture, camera, file)
     return await store(
-        lab.rig.cameras[camera],
+        context.rig.cameras[camera],
         file,
         path,
-        lab.recorder,
-        lab.clock,
+        context.recorder,
+        context.clock,
         campaign=capture.campaign,
         capture=capture.name,
     )

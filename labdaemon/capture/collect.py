@@ -12,7 +12,7 @@ from pathlib import Path
 from labdaemon.capture.devices import Camera, CardFile
 from labdaemon.capture.inspect_file import check_fetched, describe, inspect
 from labdaemon.capture.recorder import Recorder
-from labdaemon.capture.rig import CALL_S, Wired
+from labdaemon.capture.rig import CALL_S, DeviceHandle
 from labdaemon.clock import Clock
 from labdaemon.durable import PART, storage_error
 from labdaemon.errors import DataError, DeviceError, DeviceRefused, StorageUnavailable
@@ -45,7 +45,7 @@ def is_known(recorder: Recorder, camera: str, file: CardFile) -> bool:
 
 
 async def wait_frame(
-    camera: Wired[Camera],
+    camera: DeviceHandle[Camera],
     recorder: Recorder,
     clock: Clock,
     timeout_s: float,
@@ -78,7 +78,7 @@ def _wait_file(driver: Camera, timeout_s: float) -> CardFile | None:
 
 
 async def store(
-    camera: Wired[Camera],
+    camera: DeviceHandle[Camera],
     file: CardFile,
     path: Path,
     recorder: Recorder,
@@ -115,7 +115,7 @@ async def store(
     return frame
 
 
-async def clear_card(camera: Wired[Camera], file: CardFile, recorder: Recorder) -> None:
+async def clear_card(camera: DeviceHandle[Camera], file: CardFile, recorder: Recorder) -> None:
     """Delete a stored frame from the card and forget it; one that cannot be deleted now is, by the next recovery."""
     try:
         await camera.call(lambda driver: driver.delete(file))
@@ -125,7 +125,7 @@ async def clear_card(camera: Wired[Camera], file: CardFile, recorder: Recorder) 
 
 
 async def _fetch(
-    camera: Wired[Camera], file: CardFile, path: Path, recorder: Recorder, clock: Clock
+    camera: DeviceHandle[Camera], file: CardFile, path: Path, recorder: Recorder, clock: Clock
 ) -> tuple[CardFile, Path, int, str]:
     """Download and seal on the camera's own thread, from where a broken transfer broke.
 
@@ -174,7 +174,7 @@ def _remove_part(path: Path) -> None:
     part_of(path).unlink(missing_ok=True)
 
 
-async def reconnect(camera: Wired[Camera]) -> None:
+async def reconnect(camera: DeviceHandle[Camera]) -> None:
     """End a camera's session and begin another; what does not work out shows at the next call."""
     try:
         await camera.call(lambda driver: driver.close())

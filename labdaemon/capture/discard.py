@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from labdaemon.capture.places import capture_folder, set_aside_path
+from labdaemon.capture.paths import capture_folder, set_aside_path
 from labdaemon.capture.recorder import Recorder
 from labdaemon.durable import move_durably
 from labdaemon.journal import records, transitions

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from labdaemon.capture.devices import Camera, CardFile, FileInspector
 from labdaemon.capture.pairing import NOT_RAW_FORMATS, RAW_ENDINGS, ending_of, is_frame
-from labdaemon.capture.rig import CALL_S, Wired
+from labdaemon.capture.rig import CALL_S, DeviceHandle
 from labdaemon.errors import DataError, DeviceRefused
 from labdaemon.imaging.raw_content import Content, Kind, check_content, check_file
 
@@ -15,7 +15,7 @@ REFERENCE_ENDINGS = frozenset({".ndf"})
 """Files that may hold a sensor's values and are yet no frames: Nikon's dust-off references."""
 
 
-async def inspect(camera: Wired[Camera], file: CardFile) -> tuple[Kind, CardFile]:
+async def inspect(camera: DeviceHandle[Camera], file: CardFile) -> tuple[Kind, CardFile]:
     """What a file on a card is, and what the camera says of it now.
 
     A driver that cannot look into files leaves format and name to decide.
@@ -27,7 +27,7 @@ async def inspect(camera: Wired[Camera], file: CardFile) -> tuple[Kind, CardFile
     return await camera.call(partial(_inspect, file=file), CALL_S)
 
 
-async def describe(camera: Wired[Camera], file: CardFile) -> CardFile | None:
+async def describe(camera: DeviceHandle[Camera], file: CardFile) -> CardFile | None:
     """What the camera says of a file now; None if it is gone."""
     if not isinstance(camera.driver, FileInspector):
         return file

@@ -12,13 +12,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from labdaemon.capture.collect import is_known, store, wait_frame
-from labdaemon.capture.concurrent import all_or_none, each_to_its_end
 from labdaemon.capture.devices import Camera, CardFile
+from labdaemon.capture.gather import gather_or_cancel, gather_to_completion
 from labdaemon.capture.inspect_file import inspect
-from labdaemon.capture.pairing import SD_S, CameraClocks, Opening, Verdict
-from labdaemon.capture.places import set_aside_path
+from labdaemon.capture.pairing import SD_S, CameraClocks, FileOrigin, Opening
+from labdaemon.capture.paths import set_aside_path
 from labdaemon.capture.recorder import Recorder
-from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.capture.rig import CALL_S, DeviceHandle, Rig
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.errors import DeviceError, TransportError
 from labdaemon.imaging.raw_content import Kind
@@ -59,7 +59,7 @@ class FrameContext:
 
     def opening(self, owed: OwedFile) -> Opening:
         """An opening of the journal on the monotonic clock."""
-        passed_s = (self.clock.now() - moment(owed.opened_at)).total_seconds()
+        passed_s = (self.clock.now() - parse_time(owed.opened_at)).total_seconds()
         return Opening(owed.campaign, owed.capture, self.clock.monotonic() - passed_s, owed.exposure_s)
 
     def owed(self, camera: str) -> list[Opening]:
@@ -71,7 +71,7 @@ class FrameContext:
         return opening.opened_s + 2.0 * opening.exposure_s + self.timeout_s()
 
 
-def moment(text: str) -> datetime:
+def parse_time(text: str) -> datetime:
     """A time of the journal."""
     return datetime.fromisoformat(text)
 
@@ -80,7 +80,7 @@ def load_clocks(context: FrameContext) -> None:
     """Take the cameras' clock offsets from the journal, after a restart."""
     since = context.clock.now() - timedelta(seconds=context.clock.monotonic())
     for camera, known in card_records.clock_offsets(context.recorder.journal).items():
-        measured_s = (moment(known.measured_at) - since).total_seconds()
+        measured_s = (parse_time(known.measured_at) - since).total_seconds()
         context.clocks.load(camera, known.offset_s + since.timestamp(), known.exposure_s, measured_s)
 
 
@@ -103,11 +103,11 @@ async def prepare_cameras(context: FrameContext) -> dict[str, frozenset[int]]:
     Handles on each card now: what is behind them is no file of the opening to come.
     """
     cameras = context.rig.cameras
-    handles = await each_to_its_end(_prepare(context, name, camera) for name, camera in cameras.items())
+    handles = await gather_to_completion(_prepare(context, name, camera) for name, camera in cameras.items())
     return dict(zip(cameras, handles, strict=True))
 
 
-async def _prepare(context: FrameContext, name: str, camera: Wired[Camera]) -> frozenset[int]:
+async def _prepare(context: FrameContext, name: str, camera: DeviceHandle[Camera]) -> frozenset[int]:
     while True:
         slice_s = 1.0 if await _awaits(context, name) else 0.0
         file = await wait_frame(camera, context.recorder, context.clock, slice_s)
@@ -193,7 +193,7 @@ async def wait_own(
         What it delivered is of another opening, or may be.
     """
     cameras = context.rig.cameras
-    files = await all_or_none(
+    files = await gather_or_cancel(
         _wait_own(context, name, opening, seen.get(name, frozenset()), is_outside) for name in cameras
     )
     return dict(zip(cameras, files, strict=True))
@@ -241,15 +241,15 @@ async def _wait_own(
         if file is None:
             break
         now_s = clock.monotonic()
-        verdict = Verdict.EARLIER
+        verdict = FileOrigin.EARLIER
         if file.handle not in seen:
             verdict = clocks.judge(camera, file, opening, owed, is_outside=is_outside)
-        if verdict is Verdict.OWN:
+        if verdict is FileOrigin.OWN:
             return file
-        if verdict is Verdict.EARLIER:
+        if verdict is FileOrigin.EARLIER:
             owner = clocks.owner(camera, file, owed)
             owed = [other for other in owed if other is not owner]
-        elif verdict is Verdict.FOREIGN:
+        elif verdict is FileOrigin.FOREIGN:
             foreign = file
             end_s = min(end_s, max(now_s, closed_s) + NEXT_FILE_S)
         else:

@@ -94,7 +94,7 @@ class Opening:
     exposure_s: float
 
 
-class Verdict(Enum):
+class FileOrigin(Enum):
     """Whose a file is, as far as its time says."""
 
     OWN = "of this opening"
@@ -173,7 +173,7 @@ class CameraClocks:
 
     def judge(
         self, camera: str, file: CardFile, opening: Opening, owed: Sequence[Opening] = (), *, is_outside: bool = False
-    ) -> Verdict:
+    ) -> FileOrigin:
         """Whose a file is that arrived after this opening.
 
         Parameters
@@ -183,15 +183,15 @@ class CameraClocks:
         is_outside
             Others release the shutters, and may have done so again: a time that does not fit may be of the next one.
         """
-        by_order = Verdict.UNCLEAR if owed else Verdict.OWN
+        by_order = FileOrigin.UNCLEAR if owed else FileOrigin.OWN
         clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
         if clock is None or clock.is_useless or stamp_s is None:
             return by_order
         is_own, is_earlier = clock.fits(stamp_s, opening), any(clock.fits(stamp_s, other) for other in owed)
         if is_own:
-            return Verdict.UNCLEAR if is_earlier else Verdict.OWN
+            return FileOrigin.UNCLEAR if is_earlier else FileOrigin.OWN
         if is_earlier:
-            return Verdict.EARLIER
+            return FileOrigin.EARLIER
         apparent_s = stamp_s - opening.opened_s
         rival_s = clock.rival_s
         is_set_anew = rival_s is not None and abs(apparent_s - rival_s) <= TOLERANCE_S
@@ -200,7 +200,7 @@ class CameraClocks:
         if not is_outside or stamp_s == clock.stamp_s:
             clock.misfits += 1
         clock.rival_s, clock.stamp_s = apparent_s, stamp_s
-        return Verdict.FOREIGN
+        return FileOrigin.FOREIGN
 
     def off_s(self, camera: str, file: CardFile, opening: Opening) -> float:
         """How far a file's time is from an opening, seconds; 0 where that is unknown."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
-from labdaemon.capture.lines import Line
+from labdaemon.capture.device_executor import DeviceExecutor
 from labdaemon.journal.journal import Journal
 
 P = ParamSpec("P")
@@ -23,7 +23,7 @@ class Recorder:
     ----------
     journal
         Read it directly; write through `write`.
-    line
+    executor
         The journal's own thread.
     committed
         Called on the event loop after each commit.
@@ -34,14 +34,14 @@ class Recorder:
     def __init__(
         self,
         journal: Journal,
-        line: Line,
+        executor: DeviceExecutor,
         committed: Callable[[], None] = lambda: None,
-        files: Line | None = None,
-        work: Line | None = None,
+        files: DeviceExecutor | None = None,
+        work: DeviceExecutor | None = None,
     ) -> None:
         self.journal = journal
         self.committed = committed
-        self._line, self._files, self._work = line, files or line, work or line
+        self._executor, self._files, self._work = executor, files or executor, work or executor
 
     async def write(self, transition: Callable[Concatenate[Journal, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Carry out one of `labdaemon.journal.transitions`; it is on the disk when this returns.
@@ -51,7 +51,7 @@ class Recorder:
         StorageUnavailable
             The disk does not take it now; nothing was written.
         """
-        result = await self._line.call(lambda: transition(self.journal, *args, **kwargs), UNLIMITED_S)
+        result = await self._executor.call(lambda: transition(self.journal, *args, **kwargs), UNLIMITED_S)
         self.committed()
         return result
 
@@ -65,17 +65,17 @@ class Recorder:
         """
         return await self._files.call(lambda: function(*args, **kwargs), UNLIMITED_S)
 
-    async def aside(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    async def in_background(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Do work that takes long, a plan above all, off the event loop and out of the way of frames and records."""
         return await self._work.call(lambda: function(*args, **kwargs), UNLIMITED_S)
 
-    async def settled(self) -> None:
+    async def wait_idle(self) -> None:
         """Wait until writes that were asked for before are done, also those that their callers no longer wait for."""
-        await self._line.call(lambda: None, UNLIMITED_S)
+        await self._executor.call(lambda: None, UNLIMITED_S)
         await self._files.call(lambda: None, UNLIMITED_S)
 
     def close(self) -> None:
         """End the threads; the journal itself is its owner's."""
-        self._line.close()
+        self._executor.close()
         self._files.close()
         self._work.close()

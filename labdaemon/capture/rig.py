@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
+from labdaemon.capture.device_executor import DeviceExecutor
 from labdaemon.capture.devices import Camera, Gauge, Shaker, Trigger
-from labdaemon.capture.lines import Line
 from labdaemon.errors import DeviceError, DriverFault, LabdaemonError
 
 log = logging.getLogger(__name__)
@@ -31,26 +31,26 @@ OBSERVE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Wired(Generic[D]):
+class DeviceHandle(Generic[D]):
     """A driver, and the line on which it is called."""
 
     driver: D
-    line: Line
+    executor: DeviceExecutor
 
     async def call(self, function: Callable[[D], T], timeout_s: float = CALL_S) -> T:
         """Call it in turn; `TransportError` past the deadline, `DriverFault` for an error that is none of ours."""
         with self._as_device_error():
-            return await self.line.call(lambda: function(self.driver), timeout_s)
+            return await self.executor.call(lambda: function(self.driver), timeout_s)
 
     async def urgent(self, function: Callable[[D], T], timeout_s: float = HARD_STOP_S) -> T:
         """Call it at once, whatever it is busy with."""
         with self._as_device_error():
-            return await self.line.urgent(lambda: function(self.driver), timeout_s)
+            return await self.executor.urgent(lambda: function(self.driver), timeout_s)
 
     async def observe(self, function: Callable[[D], T], timeout_s: float = OBSERVE_S) -> T:
-        """Ask it meanwhile, behind other such questions only; see `Line.observe`."""
+        """Ask it meanwhile, behind other such questions only; see `DeviceExecutor.observe`."""
         with self._as_device_error():
-            return await self.line.observe(lambda: function(self.driver), timeout_s)
+            return await self.executor.observe(lambda: function(self.driver), timeout_s)
 
     @contextmanager
     def _as_device_error(self) -> Iterator[None]:
@@ -69,18 +69,18 @@ class Wired(Generic[D]):
 class Rig:
     """All devices by what they are; `shaker` and `trigger` are None where others hold them."""
 
-    shaker: Wired[Shaker] | None
-    trigger: Wired[Trigger] | None
-    cameras: Mapping[str, Wired[Camera]]
-    gauges: tuple[Wired[Gauge], ...] = field(default=())
+    shaker: DeviceHandle[Shaker] | None
+    trigger: DeviceHandle[Trigger] | None
+    cameras: Mapping[str, DeviceHandle[Camera]]
+    gauges: tuple[DeviceHandle[Gauge], ...] = field(default=())
 
-    def gauge(self, role: Literal["table", "response"]) -> Wired[Gauge] | None:
+    def gauge(self, role: Literal["table", "response"]) -> DeviceHandle[Gauge] | None:
         """The first gauge mounted there, if any."""
         return next((gauge for gauge in self.gauges if gauge.driver.role == role), None)
 
     async def close(self) -> None:
         """Give every wire back. The table must be at rest."""
-        devices: list[Wired[Any]] = [*self.gauges, *self.cameras.values()]
+        devices: list[DeviceHandle[Any]] = [*self.gauges, *self.cameras.values()]
         devices += [device for device in (self.trigger, self.shaker) if device is not None]
         for device in devices:
             try:
@@ -88,4 +88,4 @@ class Rig:
             except DeviceError:
                 pass  # it is gone already; nothing else hangs on it
             finally:
-                device.line.close()
+                device.executor.close()

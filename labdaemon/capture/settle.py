@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from labdaemon.capture.devices import Gauge, GaugeReading
-from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.capture.rig import CALL_S, DeviceHandle, Rig
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError
 
@@ -33,7 +33,7 @@ class Excitation:
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
+class SettlingResult:
     """What the gauges read at the end, None for a gauge that is not there, and how long it took."""
 
     table: GaugeReading | None
@@ -56,13 +56,13 @@ def is_steady(reading: GaugeReading, max_change_per_cycle: float) -> bool:
     return reading.change_per_cycle <= max_change_per_cycle or reading.value <= 3.0 * reading.sd
 
 
-async def read_gauge(gauge: Wired[Gauge], frequency_hz: float) -> GaugeReading:
+async def read_gauge(gauge: DeviceHandle[Gauge], frequency_hz: float) -> GaugeReading:
     """One reading over enough cycles."""
     duration_s = record_s(frequency_hz)
     return await gauge.call(lambda driver: driver.read(frequency_hz, duration_s=duration_s), duration_s + CALL_S)
 
 
-async def wait_settled(rig: Rig, excitation: Excitation, clock: Clock) -> Settled:
+async def wait_settled(rig: Rig, excitation: Excitation, clock: Clock) -> SettlingResult:
     """Wait until table and structure have settled.
 
     Raises
@@ -88,4 +88,4 @@ async def wait_settled(rig: Rig, excitation: Excitation, clock: Clock) -> Settle
                     device=response.driver.name,
                 )
     table_reading = await read_gauge(table, frequency_hz) if table is not None else None
-    return Settled(table_reading, reading, clock.monotonic() - start)
+    return SettlingResult(table_reading, reading, clock.monotonic() - start)

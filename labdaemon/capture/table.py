@@ -7,11 +7,11 @@ import math
 from collections.abc import Callable
 
 from labdaemon.capture.devices import GaugeReading
-from labdaemon.capture.evidence import TableState
-from labdaemon.capture.observer import TableObserver
-from labdaemon.capture.rest import PATIENCE_S, Rest, bring_to_rest
 from labdaemon.capture.rig import Rig
-from labdaemon.capture.settle import Excitation, Settled, ring_s, wait_settled
+from labdaemon.capture.settle import Excitation, SettlingResult, ring_s, wait_settled
+from labdaemon.capture.table_evidence import TableState
+from labdaemon.capture.table_observer import TableObserver
+from labdaemon.capture.table_stop import PATIENCE_S, RestConfirmation, bring_to_rest
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError, InterlockError, RestUnconfirmed
 
@@ -55,7 +55,7 @@ class Table:
         """Whether the enable line is up, as far as we know."""
         self.excitation: Excitation | None = None
         """What it was last set to; None at rest."""
-        self.settled: Settled | None = None
+        self.settled: SettlingResult | None = None
         """What the gauges said when it had settled there."""
         self.on_stop: Callable[[], None] = lambda: None
         """Called when a stop is about to be sent."""
@@ -79,7 +79,7 @@ class Table:
         """Whether a stop is in progress."""
         return self._stopping.locked()
 
-    async def shake(self, excitation: Excitation) -> Settled:
+    async def shake(self, excitation: Excitation) -> SettlingResult:
         """Bring table and structure to this excitation and wait until they have settled.
 
         Raises
@@ -123,7 +123,7 @@ class Table:
             await self._clock.sleep(ring_s(last_hz, 0.01))
             self._last_hz = None
 
-    async def stop(self, *, at_once: bool = False, patience_s: float = PATIENCE_S) -> Rest:
+    async def stop(self, *, at_once: bool = False, patience_s: float = PATIENCE_S) -> RestConfirmation:
         """Bring the table to rest now, whatever it is doing, and see that it rests; see `bring_to_rest`.
 
         Raises
@@ -225,7 +225,7 @@ class Table:
         if self._stops != stops:
             raise InterlockError("the table was stopped while it was being set")
 
-    def _table_ratio(self, settled: Settled, excitation: Excitation) -> float | None:
+    def _table_ratio(self, settled: SettlingResult, excitation: Excitation) -> float | None:
         gauge = self._rig.gauge("table")
         if gauge is None or settled.table is None:
             return None

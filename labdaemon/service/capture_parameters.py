@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labdaemon.campaign.manual_request import CaptureRequest, is_group_name
+from labdaemon.campaign.manual_request import ManualRequest, is_group_name
 from labdaemon.service.parameters import Parameters
 from labdaemon.stream.messages import InvalidParams
 
@@ -16,7 +16,7 @@ PHASE_RAD = (-1e4, 1e4)
 EXPOSURE_S = (1e-5, 3600.0)
 
 
-def capture_request(params: dict[str, Any]) -> CaptureRequest:
+def capture_request(params: dict[str, Any]) -> ManualRequest:
     """Read and check them.
 
     Raises
@@ -40,7 +40,7 @@ def capture_request(params: dict[str, Any]) -> CaptureRequest:
         raise InvalidParams(f"group {group[:40]!r} cannot name a result; use letters, digits, spaces, - and _")
     if group is not None and is_sharp:
         raise InvalidParams("group is of blurred captures; a sharp one has none")
-    return CaptureRequest(
+    return ManualRequest(
         label=given.text("label", default="", longest=MAX_TEXT),
         is_sharp=is_sharp,
         request_id=given.optional_text("request_id", longest=MAX_TEXT),

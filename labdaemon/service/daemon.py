@@ -18,9 +18,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdaemon.capture.keeper import TableKeeper
 from labdaemon.capture.rig import Rig
 from labdaemon.capture.table import Table
+from labdaemon.capture.table_monitor import TableMonitor
 from labdaemon.clock import Clock, SystemClock
 from labdaemon.errors import RestUnconfirmed
 from labdaemon.journal.journal import Journal
@@ -38,7 +38,7 @@ from labdaemon.service.watchdog import feed, log_stalled, notify
 from labdaemon.stream.commands import CommandServer
 
 if TYPE_CHECKING:
-    from labdaemon.campaign.measuring import Measurer
+    from labdaemon.campaign.measurement_queue import CaptureMeasurer
     from labdaemon.processing import WorkerPool
 
 log = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ class Options:
     accept_changed_rig: bool = False
 
 
-MakeMeasurer = Callable[["WorkerPool", Journal], "Measurer"]
+MakeMeasurer = Callable[["WorkerPool", Journal], "CaptureMeasurer"]
 """What measures stored captures; a crash test has it measured cheaply."""
 
 
@@ -83,7 +83,7 @@ class Hold:
     clock: Clock
     rig: Rig
     table: Table
-    keeper: TableKeeper
+    table_monitor: TableMonitor
     keeping: asyncio.Task[None]
     guardian: Guardian | None
     ready: Ready
@@ -100,7 +100,7 @@ class Held:
     clock: Clock
     rig: Rig
     table: Table
-    keeper: TableKeeper
+    table_monitor: TableMonitor
     keeping: asyncio.Task[None]
     journal: Journal
     commands: CommandServer
@@ -174,10 +174,10 @@ async def _run(
         try:
             await _come_to_rest(table)
             guardian = await afterwards.enter_async_context(guarded_table(config, rig, table, data, clock))
-            keeper = TableKeeper(rig, table, clock)
-            keeping = asyncio.create_task(supervise("keeper", keeper.run, clock))
+            table_monitor = TableMonitor(rig, table, clock)
+            keeping = asyncio.create_task(supervise("table monitor", table_monitor.run, clock))
             afterwards.callback(keeping.cancel)
-            hold = Hold(config, options, data, clock, rig, table, keeper, keeping, guardian, ready, measurer)
+            hold = Hold(config, options, data, clock, rig, table, table_monitor, keeping, guardian, ready, measurer)
             return await _open(hold, lock, end)
         finally:
             notify("STOPPING=1")
@@ -189,7 +189,7 @@ async def _run(
 
 
 async def _come_to_rest(table: Table) -> None:
-    """The table to rest, before anything else; where that is not confirmed, the keeper tries on."""
+    """The table to rest, before anything else; where that is not confirmed, the table monitor tries on."""
     try:
         rest = await table.stop(at_once=True)
     except RestUnconfirmed as exc:
@@ -229,7 +229,7 @@ async def _open_data(hold: Hold, start: Start, desk: Desk, commands: CommandServ
         serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
         identities = await connect_stoppers(hold.rig)
         held = Held(
-            hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.keeper, hold.keeping,
+            hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.table_monitor, hold.keeping,
             journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
         )  # fmt: skip
         status: int = await serving.serve(held, start)

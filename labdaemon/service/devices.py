@@ -7,9 +7,9 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
-from labdaemon.capture.capture import CameraChoice
-from labdaemon.capture.lines import DeviceLine
-from labdaemon.capture.rig import Rig, Wired
+from labdaemon.capture.capture import CameraOverrides
+from labdaemon.capture.device_executor import ThreadExecutor
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.errors import DeviceError
 from labdaemon.service.config import RigConfig, find_driver
 
@@ -47,9 +47,9 @@ def build_stoppers(config: RigConfig) -> Rig:
     return Rig(shaker, trigger, {})
 
 
-def camera_choices(config: RigConfig) -> dict[str, CameraChoice]:
+def camera_overrides(config: RigConfig) -> dict[str, CameraOverrides]:
     """What the rig file sets on each body."""
-    return {name: CameraChoice(camera.f_number, camera.iso) for name, camera in config.cameras.items()}
+    return {name: CameraOverrides(camera.f_number, camera.iso) for name, camera in config.cameras.items()}
 
 
 async def connect_stoppers(rig: Rig) -> dict[str, str]:
@@ -80,5 +80,5 @@ async def connect_others(rig: Rig) -> dict[str, str]:
     return found
 
 
-def _build(kind: str, driver: str, name: str, settings: Mapping[str, Any]) -> Wired[Any]:
-    return Wired(find_driver(kind, driver).load()(name, settings), DeviceLine(name))
+def _build(kind: str, driver: str, name: str, settings: Mapping[str, Any]) -> DeviceHandle[Any]:
+    return DeviceHandle(find_driver(kind, driver).load()(name, settings), ThreadExecutor(name))

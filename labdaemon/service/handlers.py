@@ -7,8 +7,8 @@ from typing import Any
 
 from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.steps import Plan
-from labdaemon.capture.evidence import describe
-from labdaemon.capture.places import campaign_folder
+from labdaemon.capture.paths import campaign_folder
+from labdaemon.capture.table_evidence import describe
 from labdaemon.off_loop import off_loop
 from labdaemon.service.capture_parameters import capture_request
 from labdaemon.service.parameters import Parameters
@@ -35,7 +35,7 @@ def handlers(
     aside
         Calls what blocks (a plan, a long read of the journal) off the event loop; simulated time calls it at once.
     """
-    journal = engine.lab.recorder.journal
+    journal = engine.context.recorder.journal
 
     async def answer_status(params: dict[str, Any]) -> Any:
         Parameters(params)
@@ -50,7 +50,7 @@ def handlers(
         request_id = given.optional_text("request_id", longest=MAX_ID)
         plan = await aside(planner, given.text("toml", longest=MAX_BYTES))
         id = await engine.submit(plan, request_id)
-        return {"campaign": id, "folder": str(campaign_folder(engine.lab.data, id))}
+        return {"campaign": id, "folder": str(campaign_folder(engine.context.data, id))}
 
     async def pause(params: dict[str, Any]) -> Any:
         return {"campaign": await engine.pause(_campaign(Parameters(params, "campaign")))}
@@ -70,7 +70,7 @@ def handlers(
     async def stop(params: dict[str, Any]) -> Any:
         # Parameters of any name are let through: nothing may keep the table from being stopped.
         rest = await engine.stop()
-        table = engine.lab.table.state
+        table = engine.context.table.state
         seen = describe(rest.seen) if table is not None else None
         return {"rest": rest.by, "table": table, "seen": seen, "troubles": list(rest.troubles)}
 

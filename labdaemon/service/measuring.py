@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from labdaemon.campaign.measuring import Measured
+from labdaemon.campaign.measurement_queue import CaptureRows
 from labdaemon.errors import ConfigError, DataError, LabdaemonError, SetupError
 from labdaemon.off_loop import off_loop
 from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
@@ -20,7 +20,7 @@ one of each campaign, whose names the others keep."""
 
 
 class PoolMeasurer:
-    """A `labdaemon.campaign.measuring.Measurer` on a worker pool.
+    """A `labdaemon.campaign.measurement_queue.CaptureMeasurer` on a worker pool.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class PoolMeasurer:
         self._files = ResultFiles()
         self._prepared: dict[tuple[Path, str | None], asyncio.Task[SharpSet]] = {}
 
-    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
+    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> CaptureRows:
         """Measure captures of a data-set folder jointly; a sharp set is prepared once for all of its captures.
 
         Raises
@@ -43,7 +43,7 @@ class PoolMeasurer:
         """
         sharp_set = await self._sharp_set(folder, sharp)
         result = await asyncio.wrap_future(self._pool.submit(measure_capture, folder, sharp_set, tuple(captures), name))
-        return Measured(list(result.envelope_rows), list(result.measurement_rows))
+        return CaptureRows(list(result.envelope_rows), list(result.measurement_rows))
 
     async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
         """Compare the sizes of a campaign's first frames with its rig file.
@@ -62,11 +62,11 @@ class PoolMeasurer:
         except LabdaemonError:
             return  # a frame that takes its worker with it is no question of the set-up; measuring reports it
 
-    def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+    def write_results(self, folder: Path, results: Iterable[CaptureRows]) -> None:
         """Write both result files anew, durably."""
         self._files.write(folder, results)
 
-    def append_results(self, folder: Path, result: Measured) -> bool:
+    def append_results(self, folder: Path, result: CaptureRows) -> bool:
         """Add one result's rows to both files; False where another program has changed them."""
         return self._files.append(folder, result)
 

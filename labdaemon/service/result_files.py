@@ -9,7 +9,7 @@ import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from labdaemon.campaign.measuring import Measured, Rows
+from labdaemon.campaign.measurement_queue import CaptureRows, Rows
 from labdaemon.durable import append_durably, storage_error, whole_file
 from labdaemon.processing.results_place import FILES as NAMES
 from labdaemon.processing.results_place import RESULTS, Stamp, stamps
@@ -24,7 +24,7 @@ class ResultFiles:
     def __init__(self) -> None:
         self._left: dict[Path, tuple[Stamp | None, ...]] = {}
 
-    def write(self, folder: Path, results: Iterable[Measured]) -> None:
+    def write(self, folder: Path, results: Iterable[CaptureRows]) -> None:
         """Write both files anew, each whole or not at all.
 
         Raises
@@ -41,7 +41,7 @@ class ResultFiles:
                 other.write(_lines(MEASUREMENT_COLUMNS, result.measurements))
         self._left[folder] = stamps(folder)
 
-    def append(self, folder: Path, result: Measured) -> bool:
+    def append(self, folder: Path, result: CaptureRows) -> bool:
         """Add one result's rows, synced; False, and nothing done, where the files are not as this daemon left them.
 
         Raises

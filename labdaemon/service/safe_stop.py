@@ -11,9 +11,9 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-from labdaemon.capture.evidence import describe
-from labdaemon.capture.observer import TableObserver
-from labdaemon.capture.rest import PATIENCE_S, Rest, bring_to_rest, unconfirmed
+from labdaemon.capture.table_evidence import describe
+from labdaemon.capture.table_observer import TableObserver
+from labdaemon.capture.table_stop import PATIENCE_S, RestConfirmation, bring_to_rest, rest_unconfirmed
 from labdaemon.clock import SystemClock
 from labdaemon.errors import InterlockError, LabdaemonError
 from labdaemon.service.guardian_context import wait_for_guardian
@@ -119,7 +119,7 @@ def _ask(holder: LockHolder) -> str | None:
     return f"table at rest, by the daemon (process {holder.pid}; {seen or 'no shaker'})"
 
 
-async def _stop(stoppers: Stoppers, signals: list[int]) -> Rest:
+async def _stop(stoppers: Stoppers, signals: list[int]) -> RestConfirmation:
     """Stop to the end; signals that would end the process meanwhile are noted."""
     loop = asyncio.get_running_loop()
     for number in ending_signals():
@@ -136,7 +136,7 @@ async def _stop(stoppers: Stoppers, signals: list[int]) -> Rest:
         await stoppers.rig.close()
 
 
-async def _stop_by_line_alone(stoppers: Stoppers) -> Rest:
+async def _stop_by_line_alone(stoppers: Stoppers) -> RestConfirmation:
     """[shaker] cannot be read: the enable line is all that is left, and it was never proven here."""
     troubles = list(stoppers.troubles) or ["[shaker] cannot be read"]
     observer = TableObserver(stoppers.rig, SystemClock())
@@ -148,10 +148,10 @@ async def _stop_by_line_alone(stoppers: Stoppers) -> Rest:
             troubles.append(str(exc))
         finally:
             await stoppers.rig.close()
-    raise unconfirmed(observer.evidence(), troubles)
+    raise rest_unconfirmed(observer.evidence(), troubles)
 
 
-def _sentence(rest: Rest) -> str:
+def _sentence(rest: RestConfirmation) -> str:
     if rest.by == "none":
         return "the rig has no shaker"
     troubles = f"; {'; '.join(rest.troubles)}" if rest.troubles else ""

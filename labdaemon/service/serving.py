@@ -12,22 +12,22 @@ from functools import partial
 from typing import Any
 
 from labdaemon import __version__
-from labdaemon.campaign.attempts import Policy
 from labdaemon.campaign.campaign_file import load_campaign
 from labdaemon.campaign.engine import Engine
-from labdaemon.campaign.interlocks import Limits
-from labdaemon.campaign.measuring import Measuring
+from labdaemon.campaign.interlocks import InterlockLimits
+from labdaemon.campaign.measurement_queue import MeasurementQueue
 from labdaemon.campaign.plan import make_plan
+from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.campaign.steps import Plan
-from labdaemon.capture.capture import Lab
-from labdaemon.capture.lines import DeviceLine
+from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable
 from labdaemon.off_loop import off_loop
 from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import Held
-from labdaemon.service.devices import camera_choices
+from labdaemon.service.devices import camera_overrides
 from labdaemon.service.fault_hook import FaultHook, resolved
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
@@ -77,7 +77,9 @@ async def serve(held: Held, start: Start) -> int:
         if hook is not None:
             hook.wake()
 
-    recorder = Recorder(held.journal, DeviceLine("journal"), committed, DeviceLine("data disk"), DeviceLine("plans"))
+    recorder = Recorder(
+        held.journal, ThreadExecutor("journal"), committed, ThreadExecutor("data disk"), ThreadExecutor("plans")
+    )
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()
@@ -89,7 +91,7 @@ async def serve(held: Held, start: Start) -> int:
         await _heed_guardian(held, engine)
         rig = _describe(held, identities, publisher.address)
         submitted = partial(_plan, held, steps, check_disk=True)
-        held.keeper.report, held.keeper.trip = engine.report, engine.trip
+        held.table_monitor.report, held.table_monitor.trip = engine.report, engine.trip
         start.checks |= _checks(engine)
         held.desk.open(handlers(engine, submitted, status, rig), held.journal)
         if hook is not None:
@@ -180,31 +182,31 @@ async def _run_parts(
         with suppress(InterlockError):  # said on the way out, by the stop that decides the exit status
             await held.table.stop(patience_s=0.0)
         await asyncio.gather(*parts, return_exceptions=True)
-        await engine.measuring.cancel()
+        await engine.queue.cancel()
         if hook is not None:
             await hook.flush()
 
 
 def _engine(held: Held, recorder: Recorder, pool: WorkerPool, planner: Callable[[str], Plan]) -> Engine:
     interlocks = held.config.interlocks
-    lab = Lab(
+    lab = AcquisitionContext(
         held.rig,
         held.table,
         recorder,
         held.clock,
         held.data,
-        cameras=camera_choices(held.config),
+        cameras=camera_overrides(held.config),
         camera_timeout_s=interlocks.camera_timeout_s,
     )
     measurer = held.measurer(pool, held.journal) if held.measurer is not None else PoolMeasurer(pool)
     engine = Engine(
         lab,
-        Measuring(recorder, measurer, held.clock, held.data, depth=2 * pool.workers),
+        MeasurementQueue(recorder, measurer, held.clock, held.data, depth=2 * pool.workers),
         planner,
-        Limits(**interlocks.model_dump(exclude={"accept_no_enable"})),
+        InterlockLimits(**interlocks.model_dump(exclude={"accept_no_enable"})),
         folder_files=_folder_files(held.config),
         free_bytes=lambda: shutil.disk_usage(held.data).free,
-        policy=Policy(
+        policy=RetryPolicy(
             accept_changed_rig=held.options.accept_changed_rig,
             window_s=held.config.trigger.window_s,
             accept_no_enable=interlocks.accept_no_enable,
@@ -264,10 +266,10 @@ def _checks(engine: Engine) -> Mapping[str, Callable[[], Awaitable[bool]]]:
         return True
 
     async def guard() -> bool:
-        before, seen["beats"] = seen["beats"], engine.guard.beats
-        return engine.guard.beats > before
+        before, seen["beats"] = seen["beats"], engine.monitor.iterations
+        return engine.monitor.iterations > before
 
     async def workers() -> bool:
-        return engine.measuring.oldest_s() <= 2.0 * engine.limits.worker_stall_s
+        return engine.queue.oldest_s() <= 2.0 * engine.limits.worker_stall_s
 
     return {"journal": journal, "guard": guard, "workers": workers}

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labdaemon.capture.evidence import describe
-from labdaemon.capture.rig import CALL_S, Rig, Wired
+from labdaemon.capture.rig import CALL_S, DeviceHandle, Rig
 from labdaemon.capture.table import Table
+from labdaemon.capture.table_evidence import describe
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError, LabdaemonError, StorageError
 from labdaemon.journal.journal import Journal
@@ -164,10 +164,10 @@ class Start:
         """
         found, steps = dict(stoppers), ExposureSteps()
 
-        async def reach(name: str, device: Wired[Any], *, is_kept: bool = False) -> None:
+        async def reach(name: str, device: DeviceHandle[Any], *, is_kept: bool = False) -> None:
             found[name] = str(await self._reach(name, device, lambda driver: driver.connect(), is_kept))
 
-        async def reach_camera(name: str, device: Wired[Any]) -> None:
+        async def reach_camera(name: str, device: DeviceHandle[Any]) -> None:
             info, steps[name] = await self._reach(
                 name, device, lambda driver: (driver.connect(), driver.exposure_steps_s())
             )
@@ -183,7 +183,7 @@ class Start:
         await self._until(_all(waits))
         return found, steps
 
-    async def _reach(self, name: str, device: Wired[Any], ask: Callable[[Any], T], is_kept: bool = False) -> T:
+    async def _reach(self, name: str, device: DeviceHandle[Any], ask: Callable[[Any], T], is_kept: bool = False) -> T:
         """Try until it answers; what is kept by another part is not closed between two tries."""
         while True:
             try:

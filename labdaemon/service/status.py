@@ -30,11 +30,11 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
         Of `place_of`, added as it is.
     """
     record, plan, step = engine.current, engine.plan, engine.step
-    journal, largest = engine.lab.recorder.journal, engine.largest
+    journal, largest = engine.context.recorder.journal, engine.largest
     taken = records.captures_by_step(journal, record.id if record is not None else transitions.MANUAL)
     report: dict[str, Any] = {
         "state": "idle" if record is None else ("paused" if record.state == "paused" else "running"),
-        "doing": engine.attempts.doing,
+        "doing": engine.step_runner.doing,
         "campaign": record.id if record else None,
         "name": record.name if record else None,
         "reason": record.reason if record else None,
@@ -57,10 +57,10 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
         "faults": engine.reporter.faults,
         "last_fault": engine.reporter.last_fault,
         "queue": records.count_campaigns(journal, "queued"),
-        "measuring": engine.measuring.waiting,
-        "table": engine.lab.table.state,
-        "enable_line": engine.line.state,
-        "accept_no_enable": engine.line.is_accepted if engine.line.state is not None else None,
+        "measuring": engine.queue.waiting,
+        "table": engine.context.table.state,
+        "enable_line": engine.enable_line.state,
+        "accept_no_enable": engine.enable_line.is_accepted if engine.enable_line.state is not None else None,
         **(place or {}),
     }
     if record is not None and plan is not None:
@@ -78,6 +78,6 @@ def _left_s(engine: Engine, plan: Plan) -> float:
     index = engine.step.index if engine.step is not None else 0
     later_s = sum(step.predicted_s for step in plan.steps[index + 1 :])
     present_s = plan.steps[index].predicted_s if index < len(plan.steps) else 0.0
-    if engine.attempts.began_s is not None and engine.step is not None:
-        present_s -= engine.lab.clock.monotonic() - engine.attempts.began_s
+    if engine.step_runner.began_s is not None and engine.step is not None:
+        present_s -= engine.context.clock.monotonic() - engine.step_runner.began_s
     return later_s + max(present_s, 0.0)

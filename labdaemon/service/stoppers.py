@@ -14,8 +14,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal
 
-from labdaemon.capture.lines import DeviceLine
-from labdaemon.capture.rig import Rig, Wired
+from labdaemon.capture.device_executor import ThreadExecutor
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.errors import ConfigError
 from labdaemon.tomlfile import MAX_BYTES, nearest, parse_toml
 
@@ -69,7 +69,7 @@ def read_stoppers(path: Path, *, exclusive: bool = True) -> Stoppers:
     except OSError as exc:
         raise ConfigError(f"cannot be read ({exc.strerror or exc})", source=path) from None
     sections, is_whole, troubles = cut_sections(text)
-    built: dict[Kind, Wired[Any] | None] = {"shaker": None, "trigger": None}
+    built: dict[Kind, DeviceHandle[Any] | None] = {"shaker": None, "trigger": None}
     kinds: tuple[Kind, Kind] = ("shaker", "trigger")
     for kind in kinds:
         section = sections.get(kind)
@@ -147,7 +147,7 @@ def _is_open(lines: list[str]) -> bool:
     return text.count("[") > text.count("]") or text.count('"""') % 2 == 1 or text.count("'''") % 2 == 1
 
 
-def _build(kind: Kind, section: Mapping[str, Any], exclusive: bool) -> Wired[Any] | None:
+def _build(kind: Kind, section: Mapping[str, Any], exclusive: bool) -> DeviceHandle[Any] | None:
     driver = section.get("driver")
     if not isinstance(driver, str):
         raise ConfigError("its driver cannot be read", key=kind)
@@ -164,4 +164,4 @@ def _build(kind: Kind, section: Mapping[str, Any], exclusive: bool) -> Wired[Any
         raise ConfigError(f"driver {name} does not load: {exc}", key=f"{kind}.driver") from exc
     settings = {**section, **({} if exclusive else {"exclusive": False})}
     make: Callable[[str, Mapping[str, Any]], Any] = getattr(loaded, "for_stopping", loaded)
-    return Wired(make(kind, settings), DeviceLine(kind))
+    return DeviceHandle(make(kind, settings), ThreadExecutor(kind))

@@ -7,20 +7,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labdaemon.campaign.attempts import Policy
 from labdaemon.campaign.campaign_file import load_campaign
 from labdaemon.campaign.engine import Engine
-from labdaemon.campaign.interlocks import Limits
+from labdaemon.campaign.interlocks import InterlockLimits
 from labdaemon.campaign.limits import ShakerLimits
-from labdaemon.campaign.measuring import Measured, Measuring
+from labdaemon.campaign.measurement_queue import CaptureRows, MeasurementQueue
 from labdaemon.campaign.plan import PlanRig, make_plan
+from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.campaign.steps import Plan
-from labdaemon.capture.capture import Lab
-from labdaemon.capture.keeper import TableKeeper
-from labdaemon.capture.lines import InlineLine
-from labdaemon.capture.observer import Proof
+from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.device_executor import InlineExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.table import Table
+from labdaemon.capture.table_monitor import TableMonitor
+from labdaemon.capture.table_observer import EnableLineProof
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DataError, SetupError, StorageError
 from labdaemon.journal import records
@@ -43,7 +43,7 @@ class FakeMeasurer:
         Message with which every capture is refused; empty to measure.
     wrong_size
         Message with which first frames are refused; empty to take them.
-    poisoned
+    unmeasurable
         Names of captures that cannot be measured.
     flags, amplitude_mm
         Given to every row.
@@ -54,7 +54,7 @@ class FakeMeasurer:
     """
 
     measure_s: float = 5.0
-    poisoned: set[str] = field(default_factory=set)
+    unmeasurable: set[str] = field(default_factory=set)
     flags: tuple[str, ...] = ()
     amplitude_mm: float = 1.0
     results: dict[Path, list[str]] = field(default_factory=dict)
@@ -62,11 +62,11 @@ class FakeMeasurer:
     refusal: str = ""
     wrong_size: str = ""
 
-    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
+    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> CaptureRows:
         await asyncio.sleep(self.measure_s)
         if self.refusal:
             raise DataError(self.refusal, file=folder / "sharp")
-        if name in self.poisoned:
+        if name in self.unmeasurable:
             raise DataError("killed its worker twice and was set aside", file=name)
         frames = [path for capture in captures for path in sorted((folder / "captures" / capture).glob("*.dng"))]
         if not frames or not list((folder / "sharp" / (sharp or "")).glob("*.dng")):
@@ -76,18 +76,18 @@ class FakeMeasurer:
             | {"flags": list(self.flags)}
             for path in frames
         ]
-        return Measured(rows, [{"capture": name, "camera": path.stem} for path in frames])
+        return CaptureRows(rows, [{"capture": name, "camera": path.stem} for path in frames])
 
     async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
         if frames and self.wrong_size:
             raise SetupError(self.wrong_size)
 
-    def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+    def write_results(self, folder: Path, results: Iterable[CaptureRows]) -> None:
         if self.refuses is not None:
             raise self.refuses
         self.results[folder] = [str(result.envelope[0]["capture"]) for result in results]
 
-    def append_results(self, folder: Path, result: Measured) -> bool:
+    def append_results(self, folder: Path, result: CaptureRows) -> bool:
         if self.refuses is not None:
             raise self.refuses
         if folder not in self.results:
@@ -121,11 +121,11 @@ class FakeLab:
         clock: SimulatedClock,
         *,
         rig: FakeRig | None = None,
-        limits: Limits | None = None,
-        policy: Policy | None = None,
+        limits: InterlockLimits | None = None,
+        policy: RetryPolicy | None = None,
         has_trigger: bool = True,
         has_shaker: bool = True,
-        proof: Proof = "proven",
+        proof: EnableLineProof = "proven",
     ) -> None:
         self.data, self.clock = data, clock
         self.fake = rig or fake_rig(clock)
@@ -134,7 +134,7 @@ class FakeLab:
             self.fake.world.line_wired = False
         if not has_trigger:
             self.fake.rig = replace(self.fake.rig, trigger=None, shaker=None)
-        self.limits, self.policy = limits or Limits(), policy or Policy()
+        self.limits, self.policy = limits or InterlockLimits(), policy or RetryPolicy()
         self.free_bytes = 10**12
         self.proof = proof
         self.exposures_s: dict[str, tuple[float, ...]] = dict.fromkeys(self.fake.rig.cameras, (0.5, 1.0, 2.0))
@@ -142,7 +142,7 @@ class FakeLab:
         self.measurer = FakeMeasurer()
         self.journal: Journal
         self.engine: Engine
-        self.keeper: TableKeeper
+        self.table_monitor: TableMonitor
         self._keeping: asyncio.Task[None]
         self._run: asyncio.Task[None] | None = None
 
@@ -155,11 +155,11 @@ class FakeLab:
         """As the daemon does it: the table to rest, the journal opened, the engine let run."""
         self.world.drive(False, self.world.frequency_hz, self.world.amplitude_mm)
         self.journal = Journal(self.data, self.clock, synchronous="OFF")
-        recorder = Recorder(self.journal, InlineLine("journal", lambda: 0.0))
+        recorder = Recorder(self.journal, InlineExecutor("journal", lambda: 0.0))
         table = Table(self.fake.rig, self.clock, self.limits.gauge_disagreement)
         table.observer.proof = self.proof
-        lab = Lab(self.fake.rig, table, recorder, self.clock, self.data)
-        measuring = Measuring(recorder, self.measurer, self.clock, self.data)
+        lab = AcquisitionContext(self.fake.rig, table, recorder, self.clock, self.data)
+        measuring = MeasurementQueue(recorder, self.measurer, self.clock, self.data)
         self.engine = Engine(
             lab,
             measuring,
@@ -169,10 +169,10 @@ class FakeLab:
             free_bytes=lambda: self.free_bytes,
             policy=self.policy,
         )
-        self.keeper = TableKeeper(self.fake.rig, table, self.clock)
-        self.keeper.report, self.keeper.trip = self.engine.report, self.engine.trip
+        self.table_monitor = TableMonitor(self.fake.rig, table, self.clock)
+        self.table_monitor.report, self.table_monitor.trip = self.engine.report, self.engine.trip
         self._run = asyncio.create_task(self.engine.run())
-        self._keeping = asyncio.create_task(self.keeper.run())
+        self._keeping = asyncio.create_task(self.table_monitor.run())
 
     def plan(self, toml: str) -> Plan:
         """A campaign's plan for this lab."""
@@ -189,7 +189,7 @@ class FakeLab:
             self._run.cancel()
             self._keeping.cancel()
             await asyncio.gather(self._run, self._keeping, return_exceptions=True)
-        await self.engine.measuring.cancel()
+        await self.engine.queue.cancel()
         self.journal.close()
         self._run = None
 

@@ -16,6 +16,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal
 
+from labdaemon.capture.device_executor import InlineExecutor
 from labdaemon.capture.devices import (
     CameraInfo,
     CameraStatus,
@@ -25,8 +26,7 @@ from labdaemon.capture.devices import (
     ShakerState,
     SineReading,
 )
-from labdaemon.capture.lines import InlineLine
-from labdaemon.capture.rig import Rig, Wired
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceRefused, ProtocolError, TransportError
 
@@ -389,13 +389,13 @@ def fake_rig(clock: Clock, *, cameras: tuple[str, ...] = ("left", "right")) -> F
     shaker, trigger = FakeShaker(world), FakeTrigger(world, bodies)
     gauges = [FakeGauge(world, "table", "table"), FakeGauge(world, "response", "response")]
 
-    def line(device: str) -> InlineLine:
-        return InlineLine(device, world.take_spent_s)
+    def line(device: str) -> InlineExecutor:
+        return InlineExecutor(device, world.take_spent_s)
 
     rig = Rig(
-        Wired(shaker, line("shaker")),
-        Wired(trigger, line("trigger")),
-        {body.name: Wired(body, line(body.name)) for body in bodies},
-        tuple(Wired(gauge, line(gauge.name)) for gauge in gauges),
+        DeviceHandle(shaker, line("shaker")),
+        DeviceHandle(trigger, line("trigger")),
+        {body.name: DeviceHandle(body, line(body.name)) for body in bodies},
+        tuple(DeviceHandle(gauge, line(gauge.name)) for gauge in gauges),
     )
     return FakeRig(world, bodies, shaker, trigger, gauges, rig)

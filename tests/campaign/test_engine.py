@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.campaign.attempts import Policy
-from labdaemon.campaign.interlocks import Limits
-from labdaemon.campaign.manual_request import CaptureRequest
+from labdaemon.campaign.interlocks import InterlockLimits
+from labdaemon.campaign.manual_request import ManualRequest
+from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.errors import LimitError
 from labdaemon.journal import records
 from labdaemon.stream.messages import Busy, NotFound, WrongState
@@ -115,7 +115,7 @@ def test_a_full_queue_makes_the_table_wait_and_drops_nothing(simulate):
 
         def look(operation: str) -> None:
             nonlocal most
-            most = max(most, lab.engine.measuring.waiting)
+            most = max(most, lab.engine.queue.waiting)
 
         lab.world.on_call = look
         toml = RETRY.replace("[5.0, 8.0, 12.0]", "{ start = 4, stop = 14, count = 12 }")
@@ -174,7 +174,7 @@ def test_pause_and_resume_at_any_moment(simulate, moment_s: float):
         await lab.engine.pause()
         await lab.clock.sleep(30.0)
         assert not lab.world.moves()
-        assert lab.engine.lab.table.excitation is None
+        assert lab.engine.context.table.excitation is None
         fired = lab.world.fired
         await lab.clock.sleep(600.0)
         assert lab.world.fired == fired
@@ -315,7 +315,7 @@ def test_too_large_a_response_stops_the_table_within_a_tenth_of_a_second_of_bein
         assert lab.world.stopped_at[0] - crossed[0] <= 0.1
         assert not lab.world.moves()
 
-    simulate(scenario, limits=Limits(max_response_mm=4.0))
+    simulate(scenario, limits=InterlockLimits(max_response_mm=4.0))
 
 
 def test_a_response_that_grows_too_fast_stops_the_table(simulate):
@@ -324,7 +324,7 @@ def test_a_response_that_grows_too_fast_stops_the_table(simulate):
         assert record.state == "paused"
         assert "max_response_rate_mm_s" in (record.reason or "")
 
-    simulate(scenario, limits=Limits(max_response_rate_mm_s=0.5))
+    simulate(scenario, limits=InterlockLimits(max_response_rate_mm_s=0.5))
 
 
 def test_gauges_that_disagree_stop_the_table(simulate):
@@ -364,7 +364,7 @@ def test_an_envelope_that_comes_when_the_table_rests_holds_the_campaign_and_the_
         assert (await lab.until(id, "completed", "paused")).state == "completed"
         await lab.engine.abort(following)
 
-    simulate(scenario, limits=Limits(max_response_mm=5.0))
+    simulate(scenario, limits=InterlockLimits(max_response_mm=5.0))
 
 
 @pytest.mark.parametrize(("attribute", "value"), [("battery_percent", 3), ("free_bytes", 1000)])
@@ -421,9 +421,9 @@ def test_without_a_heartbeat_the_table_comes_to_rest(simulate):
     simulate(scenario)
 
 
-def test_a_poisoned_frame_is_kept_told_and_left_behind(simulate):
+def test_a_frame_that_cannot_be_measured_is_kept_and_reported(simulate):
     async def scenario(lab: FakeLab):
-        lab.measurer.poisoned.add("00002-steps-8.000hz-01")
+        lab.measurer.unmeasurable.add("00002-steps-8.000hz-01")
         id = await lab.submit(RETRY)
         assert (await lab.until(id)).state == "completed"
         assert len(envelopes(lab)) == 2
@@ -690,10 +690,10 @@ def test_without_a_shaker_the_daemon_keeps_what_others_fire_and_sets_a_lone_fram
 
 def test_a_manual_capture_answers_once_fired_and_is_measured_against_the_last_sharp_set(simulate):
     async def scenario(lab: FakeLab):
-        sharp = await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        sharp = await lab.engine.capture(ManualRequest("rest", is_sharp=True))
         await lab.clock.sleep(10.0)
         before = lab.clock.monotonic()
-        taken = await lab.engine.capture(CaptureRequest("first", request_id="q"))
+        taken = await lab.engine.capture(ManualRequest("first", request_id="q"))
         assert lab.clock.monotonic() - before < 1.0
         assert taken.opened_at is not None
         assert records.reply_to(lab.journal, "q") == ("capture", {"capture": taken.name, "opened_at": taken.opened_at})
@@ -746,4 +746,4 @@ def test_a_lost_camera_comes_back(simulate):
         assert (await lab.until(id)).state == "completed"
         assert len(envelopes(lab)) == 3
 
-    simulate(scenario, policy=Policy(max_tries=6))
+    simulate(scenario, policy=RetryPolicy(max_tries=6))

@@ -14,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from labdaemon.bench.soak import OPERATIONS
 from labdaemon.bench.verdict import judge
-from labdaemon.campaign.attempts import Policy
+from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.stream.messages import CommandError
@@ -52,7 +52,7 @@ class EngineMachine(RuleBasedStateMachine):
         self.clock = SimulatedClock()
         self.runner = self.clock.runner()
         self.folder = Path(tempfile.mkdtemp(prefix="labdaemon-model-"))
-        self.lab = FakeLab(self.folder, self.clock, policy=Policy(max_tries=3))
+        self.lab = FakeLab(self.folder, self.clock, policy=RetryPolicy(max_tries=3))
         self.submitted: list[str] = []
         self.asked_to_pause: set[str] = set()
         self.run(self._start())

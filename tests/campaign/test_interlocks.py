@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from labdaemon.campaign import interlocks
-from labdaemon.campaign.interlocks import Limits, Sighting
+from labdaemon.campaign.interlocks import GaugeSample, InterlockLimits
 from labdaemon.capture.devices import CameraStatus
 
 
@@ -13,15 +13,17 @@ def row(target: str, mm: float | None, *flags: str) -> dict[str, object]:
 
 @pytest.mark.parametrize(("mm", "trips"), [(4.9, False), (5.1, True)])
 def test_response_in_size(mm: float, trips: bool):
-    assert (interlocks.response_reason(Limits(max_response_mm=5.0), Sighting(0.0, mm), None) is not None) == trips
+    assert (
+        interlocks.check_response(InterlockLimits(max_response_mm=5.0), GaugeSample(0.0, mm), None) is not None
+    ) == trips
 
 
 @pytest.mark.parametrize(
     ("after_s", "mm", "sd", "trips"), [(1.0, 3.0, 0.0, True), (4.0, 3.0, 0.0, False), (1.0, 3.0, 1.0, False)]
 )
 def test_response_in_growth_and_what_is_noise(after_s: float, mm: float, sd: float, trips: bool):
-    limits = Limits(max_response_rate_mm_s=1.5)
-    found = interlocks.response_reason(limits, Sighting(after_s, mm, sd), Sighting(0.0, 1.0, sd))
+    limits = InterlockLimits(max_response_rate_mm_s=1.5)
+    found = interlocks.check_response(limits, GaugeSample(after_s, mm, sd), GaugeSample(0.0, 1.0, sd))
     assert (found is not None) == trips
 
 
@@ -29,42 +31,42 @@ def test_response_in_growth_and_what_is_noise(after_s: float, mm: float, sd: flo
     ("asked", "read", "sd", "trips"), [(1.0, 1.1, 0, False), (1.0, 1.3, 0, True), (0.01, 0.2, 0.1, False)]
 )
 def test_gauge_disagreement(asked: float, read: float, sd: float, trips: bool):
-    assert (interlocks.table_reason(Limits(), asked, Sighting(0.0, read, sd)) is not None) == trips
-    assert interlocks.table_reason(Limits(gauge_disagreement=None), asked, Sighting(0.0, read, sd)) is None
+    assert (interlocks.check_table(InterlockLimits(), asked, GaugeSample(0.0, read, sd)) is not None) == trips
+    assert interlocks.check_table(InterlockLimits(gauge_disagreement=None), asked, GaugeSample(0.0, read, sd)) is None
 
 
 def test_battery_and_card_and_what_a_body_does_not_tell():
-    assert interlocks.camera_reason(Limits(), "left", CameraStatus(None, None)) is None
-    assert "battery at 9 %" in (interlocks.camera_reason(Limits(), "left", CameraStatus(9, None)) or "")
-    assert "100 MB free" in (interlocks.camera_reason(Limits(), "left", CameraStatus(90, 100_000_000)) or "")
+    assert interlocks.check_camera(InterlockLimits(), "left", CameraStatus(None, None)) is None
+    assert "battery at 9 %" in (interlocks.check_camera(InterlockLimits(), "left", CameraStatus(9, None)) or "")
+    assert "100 MB free" in (interlocks.check_camera(InterlockLimits(), "left", CameraStatus(90, 100_000_000)) or "")
 
 
 def test_workers():
-    assert interlocks.stall_reason(Limits(), 299.0) is None
-    assert "301 s" in (interlocks.stall_reason(Limits(), 301.0) or "")
+    assert interlocks.check_workers(InterlockLimits(), 299.0) is None
+    assert "301 s" in (interlocks.check_workers(InterlockLimits(), 301.0) or "")
 
 
 def test_envelopes_in_size_and_at_the_papers_edge():
     rows = [row("T1", 1.0), row("T2", None, "not_found"), row("T3", 3.0)]
-    assert interlocks.envelope_reason(Limits(max_response_mm=4.0), rows) is None
-    assert "T3 moves 3 mm" in (interlocks.envelope_reason(Limits(max_response_mm=2.0), rows) or "")
+    assert interlocks.check_envelope(InterlockLimits(max_response_mm=4.0), rows) is None
+    assert "T3 moves 3 mm" in (interlocks.check_envelope(InterlockLimits(max_response_mm=2.0), rows) or "")
     edge = [*rows, row("T4", 1.0, "paper_edge")]
-    assert "1 of 4 targets" in (interlocks.envelope_reason(Limits(), edge) or "")
-    assert interlocks.envelope_reason(Limits(max_paper_edge=0.25), edge) is None
+    assert "1 of 4 targets" in (interlocks.check_envelope(InterlockLimits(), edge) or "")
+    assert interlocks.check_envelope(InterlockLimits(max_paper_edge=0.25), edge) is None
 
 
 def test_a_motion_in_b_counts_whole():
     turning = row("T1", 0.1) | {"bx_mm": 0.0, "by_mm": 3.0, "bz_mm": 0.0}
-    assert "T1 moves 3 mm" in (interlocks.envelope_reason(Limits(max_response_mm=2.0), [turning]) or "")
+    assert "T1 moves 3 mm" in (interlocks.check_envelope(InterlockLimits(max_response_mm=2.0), [turning]) or "")
 
 
 def test_no_doubtful_target_trips_alone_and_several_do():
-    limits = Limits(max_response_mm=0.6, max_paper_edge=None)
+    limits = InterlockLimits(max_response_mm=0.6, max_paper_edge=None)
     rows = [row(f"T{n:02d}", 0.4) for n in range(20)]
-    assert interlocks.envelope_reason(limits, [*rows, row("R12", 0.977, "ambiguous")]) is None
-    assert interlocks.envelope_reason(limits, [*rows, *[row(f"R{n}", 0.9, "ambiguous") for n in range(5)]]) is None
-    assert interlocks.envelope_reason(limits, [*rows, row("R1", 0.9, "poor_fit")]) is None
+    assert interlocks.check_envelope(limits, [*rows, row("R12", 0.977, "ambiguous")]) is None
+    assert interlocks.check_envelope(limits, [*rows, *[row(f"R{n}", 0.9, "ambiguous") for n in range(5)]]) is None
+    assert interlocks.check_envelope(limits, [*rows, row("R1", 0.9, "poor_fit")]) is None
     edges = [row(f"R{n}", 70.0 + n, "paper_edge") for n in range(3)]
-    assert "3 flagged targets" in (interlocks.envelope_reason(limits, [*rows, *edges]) or "")
+    assert "3 flagged targets" in (interlocks.check_envelope(limits, [*rows, *edges]) or "")
     alone = [row(f"R{n}", 0.9, "ambiguous") for n in range(3)]
-    assert "3 flagged targets" in (interlocks.envelope_reason(limits, alone) or "")
+    assert "3 flagged targets" in (interlocks.check_envelope(limits, alone) or "")

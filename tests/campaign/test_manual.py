@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from labdaemon.campaign.manual_request import CaptureRequest, capture_name, is_group_name, safe_name
+from labdaemon.campaign.manual_request import ManualRequest, capture_name, is_group_name, safe_name
 from labdaemon.campaign.table_motion import TableMotion, contradiction
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
@@ -62,8 +62,8 @@ def test_a_long_label_is_cut_between_letters_and_groups_are_names_as_they_stand(
 
 def test_the_label_is_found_in_name_folder_file_and_events(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
-        taken = [await lab.engine.capture(CaptureRequest(label)) for label in ("crack-7", "crack-7", 'a "b" \\ ü')]
+        await lab.engine.capture(ManualRequest("rest", is_sharp=True))
+        taken = [await lab.engine.capture(ManualRequest(label)) for label in ("crack-7", "crack-7", 'a "b" \\ ü')]
         await lab.clock.sleep(60.0)
         names = [one.name for one in taken]
         assert names == ["manual-000002-crack-7", "manual-000003-crack-7", "manual-000004-a -b- - ü"]
@@ -78,15 +78,15 @@ def test_the_label_is_found_in_name_folder_file_and_events(simulate):
 
 def test_the_folder_is_a_data_set_folder_and_a_changed_rig_keeps_the_old_file(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
-        await lab.engine.capture(CaptureRequest())
+        await lab.engine.capture(ManualRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest())
         await lab.clock.sleep(30.0)
         folder = lab.data / "campaigns" / MANUAL
         assert {path.name for path in folder.iterdir()} == {"rig.toml", "control.csv", "sharp", "captures"}
         (folder / "rig.toml").write_text("# of another day")
         await lab.kill()
         lab.start()
-        await lab.engine.capture(CaptureRequest())
+        await lab.engine.capture(ManualRequest())
         assert (folder / "rig.toml").read_text() == ""
         assert (folder / "rig-1.toml").read_text() == "# of another day"
 
@@ -95,9 +95,9 @@ def test_the_folder_is_a_data_set_folder_and_a_changed_rig_keeps_the_old_file(si
 
 def test_what_is_stated_comes_along_everywhere(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest(is_sharp=True))
         await lab.clock.sleep(10.0)
-        request = CaptureRequest("s", frequency_hz=5.0, amplitude_mm=2.0, phase_rad=0.5, exposure_s=2.0)
+        request = ManualRequest("s", frequency_hz=5.0, amplitude_mm=2.0, phase_rad=0.5, exposure_s=2.0)
         lab.world.drive(True, 5.0, 2.0)
         taken = await lab.engine.capture(request)
         await lab.clock.sleep(30.0)
@@ -116,11 +116,11 @@ def test_what_is_stated_comes_along_everywhere(simulate):
 
 def test_what_nobody_states_is_taken_from_the_table_gauge(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest(is_sharp=True))
         await lab.clock.sleep(10.0)
         lab.world.drive(True, 7.25, 0.8)
-        taken = await lab.engine.capture(CaptureRequest("seen"))
-        wrong = await lab.engine.capture(CaptureRequest("wrong", frequency_hz=8.0, amplitude_mm=0.8))
+        taken = await lab.engine.capture(ManualRequest("seen"))
+        wrong = await lab.engine.capture(ManualRequest("wrong", frequency_hz=8.0, amplitude_mm=0.8))
         await lab.clock.sleep(60.0)
         kept = capture_file(lab, taken.name)
         assert (kept["frequency_hz"], kept["excitation_amplitude_mm"]) == (7.25, 0.8)
@@ -134,13 +134,13 @@ def test_what_nobody_states_is_taken_from_the_table_gauge(simulate):
 
 def test_at_rest_nothing_is_invented_and_a_dumb_gauge_is_reported_once(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
-        taken = await lab.engine.capture(CaptureRequest("still"))
+        await lab.engine.capture(ManualRequest(is_sharp=True))
+        taken = await lab.engine.capture(ManualRequest("still"))
         await lab.clock.sleep(30.0)
         assert {"frequency_hz", "excitation_amplitude_mm"}.isdisjoint(capture_file(lab, taken.name))
         lab.world.fail("table.find_sine", "silent", "silent")
         for _ in range(2):
-            await lab.engine.capture(CaptureRequest())
+            await lab.engine.capture(ManualRequest())
             await lab.clock.sleep(30.0)
         assert [fault["device"] for fault in events(lab, "fault")] == ["table"]
         assert len(events(lab, "envelope")) == 3
@@ -151,7 +151,7 @@ def test_at_rest_nothing_is_invented_and_a_dumb_gauge_is_reported_once(simulate)
 def test_a_sharp_set_of_a_moving_table_gives_no_rest_position(simulate):
     async def scenario(lab: FakeLab):
         lab.world.drive(True, 7.25, 0.8)
-        taken = await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        taken = await lab.engine.capture(ManualRequest("rest", is_sharp=True))
         await lab.clock.sleep(15.0)
         note = lab.data / "campaigns" / MANUAL / "sharp" / taken.name / "set.toml"
         assert note.read_text() == "at_rest = false\n"
@@ -182,16 +182,16 @@ def test_stated_against_measured_beyond_three_sd(seen: TableMotion, stated: tupl
 
 def test_a_group_is_measured_jointly_once_it_is_quiet_and_again_when_a_member_comes_late(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest(is_sharp=True))
         for phase_rad in (0.0, 1.57):
-            await lab.engine.capture(CaptureRequest("g", group="turn", frequency_hz=5.0, phase_rad=phase_rad))
+            await lab.engine.capture(ManualRequest("g", group="turn", frequency_hz=5.0, phase_rad=phase_rad))
         assert events(lab, "envelope") == []
         await lab.clock.sleep(60.0)
         [first] = events(lab, "envelope")
         assert (first["capture"], len(first["targets"])) == ("turn", 4)
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
-        await lab.engine.capture(CaptureRequest("late", group="turn", frequency_hz=5.0))
-        await lab.engine.capture(CaptureRequest("alone"))  # another one: the group is complete
+        await lab.engine.capture(ManualRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest("late", group="turn", frequency_hz=5.0))
+        await lab.engine.capture(ManualRequest("alone"))  # another one: the group is complete
         await lab.clock.sleep(15.0)
         assert sorted((event["capture"], len(event["targets"])) for event in events(lab, "envelope")[1:]) == [
             ("manual-000006-alone", 2), ("turn", 6),
@@ -201,7 +201,7 @@ def test_a_group_is_measured_jointly_once_it_is_quiet_and_again_when_a_member_co
         sets = {one.sharp for one in records.group_members(lab.journal, MANUAL, "turn")}
         assert sets == {"manual-000001"}  # one for all members
         with pytest.raises(InvalidParams, match="is the name of a capture"):
-            await lab.engine.capture(CaptureRequest(group="manual-000006-alone"))
+            await lab.engine.capture(ManualRequest(group="manual-000006-alone"))
 
     simulate(scenario)
 
@@ -209,12 +209,12 @@ def test_a_group_is_measured_jointly_once_it_is_quiet_and_again_when_a_member_co
 def test_without_a_sharp_set_it_is_said_once_and_captures_wait_for_it(simulate):
     async def scenario(lab: FakeLab):
         for _ in range(5):
-            await lab.engine.capture(CaptureRequest("early"))
+            await lab.engine.capture(ManualRequest("early"))
             await lab.clock.sleep(30.0)
         [fault] = events(lab, "fault")
         assert "labdaemon capture --sharp" in fault["message"]
         assert events(lab, "envelope") == []
-        await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        await lab.engine.capture(ManualRequest("rest", is_sharp=True))
         await lab.clock.sleep(60.0)
         assert len(events(lab, "envelope")) == 5
         assert capture_file(lab, "manual-000001-early")["sharp"] == "manual-000006-rest"
@@ -225,10 +225,10 @@ def test_without_a_sharp_set_it_is_said_once_and_captures_wait_for_it(simulate):
 
 def test_what_cannot_be_measured_for_one_reason_is_said_once(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest(is_sharp=True))
         lab.measurer.refusal = "only 2 of 8 control targets were found"
         for _ in range(4):
-            await lab.engine.capture(CaptureRequest())
+            await lab.engine.capture(ManualRequest())
             await lab.clock.sleep(30.0)
         assert len(events(lab, "fault")) == 1
         assert len(records.captures(lab.journal, MANUAL, "unmeasured")) == 4
@@ -239,11 +239,11 @@ def test_what_cannot_be_measured_for_one_reason_is_said_once(simulate):
 def test_the_next_outside_release_is_the_capture_that_was_announced(simulate):
     async def scenario(lab: FakeLab):
         await lab.clock.sleep(5.0)
-        announced = await lab.engine.capture(CaptureRequest("rest", is_sharp=True, request_id="q"))
+        announced = await lab.engine.capture(ManualRequest("rest", is_sharp=True, request_id="q"))
         assert (announced.name, announced.opened_at) == ("manual-000001-rest", None)
         await fire_outside(lab)
         assert records.reply_to(lab.journal, "q") is not None
-        asking = asyncio.create_task(lab.engine.capture(CaptureRequest("crack", exposure_s=1.3)))
+        asking = asyncio.create_task(lab.engine.capture(ManualRequest("crack", exposure_s=1.3)))
         await lab.clock.sleep(2.0)
         await fire_outside(lab)
         taken = await asking
@@ -262,7 +262,7 @@ def test_the_next_outside_release_is_the_capture_that_was_announced(simulate):
 
 def test_an_announced_release_that_does_not_come_is_forgotten(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        await lab.engine.capture(ManualRequest("rest", is_sharp=True))
         await lab.clock.sleep(700.0)
         await fire_outside(lab)
         [event] = events(lab, "capture.completed")
@@ -287,16 +287,16 @@ def test_a_release_is_kept_when_a_campaign_begins_in_the_middle_of_it(simulate):
 
 def test_stored_manual_captures_are_measured_after_a_restart(simulate):
     async def scenario(lab: FakeLab):
-        await lab.engine.capture(CaptureRequest(is_sharp=True))
+        await lab.engine.capture(ManualRequest(is_sharp=True))
         lab.measurer.measure_s = 500.0
-        await lab.engine.capture(CaptureRequest("before"))
+        await lab.engine.capture(ManualRequest("before"))
         await lab.clock.sleep(30.0)
         await lab.kill()
         lab.measurer.measure_s = 1.0
         lab.start()
         await lab.clock.sleep(30.0)
         assert [event["capture"] for event in events(lab, "envelope")] == ["manual-000002-before"]
-        again = await lab.engine.capture(CaptureRequest("before"))  # the same label of another day is another capture
+        again = await lab.engine.capture(ManualRequest("before"))  # the same label of another day is another capture
         assert again.name == "manual-000003-before"
 
     simulate(scenario)
@@ -310,11 +310,11 @@ def test_without_a_shaker_the_box_sees_outside_releases_between_captures_of_ours
     async def scenario() -> None:
         lab = FakeLab(tmp_path, clock, rig=rig)
         lab.start()
-        await lab.engine.capture(CaptureRequest("rest", is_sharp=True))
+        await lab.engine.capture(ManualRequest("rest", is_sharp=True))
         await lab.clock.sleep(10.0)
         lab.fake.trigger.edge(1.0)
         await lab.clock.sleep(10.0)
-        await lab.engine.capture(CaptureRequest("ours"))
+        await lab.engine.capture(ManualRequest("ours"))
         await lab.clock.sleep(10.0)
         lab.fake.trigger.edge(1.0)
         await lab.clock.sleep(20.0)

@@ -140,10 +140,10 @@ def test_the_clocks_are_in_the_journal(simulate):
         offsets = card_records.clock_offsets(lab.journal)
         assert set(offsets) == {"left", "right"}
         assert 0.0 < offsets["left"].sd_s < 1.0
-        known_s = lab.engine.lab.clocks.offset_s("left")
+        known_s = lab.engine.context.clocks.offset_s("left")
         await lab.kill()
         lab.start()
-        assert lab.engine.lab.clocks.offset_s("left") == pytest.approx(known_s, abs=1e-3)
+        assert lab.engine.context.clocks.offset_s("left") == pytest.approx(known_s, abs=1e-3)
 
     simulate(scenario)
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.capture.devices import CardFile
-from labdaemon.capture.pairing import Arrivals, CameraClocks, Opening, Verdict, camera_seconds, is_frame
+from labdaemon.capture.pairing import Arrivals, CameraClocks, FileOrigin, Opening, camera_seconds, is_frame
 
 
 def stamped(seconds: float, name: str = "DSC_0001.NEF") -> CardFile:
@@ -66,7 +66,7 @@ def test_openings_in_order_are_accepted_whatever_the_bodies_clocks_say(gaps, dri
         end_s = exposure_s if stamps_end else 0.0
         files = {"left": stamped(opened_s), "right": stamped(opened_s + 900.0 + drift + end_s)}
         for camera, file in files.items():
-            assert clocks.judge(camera, file, opening(opened_s, exposure_s)) is Verdict.OWN
+            assert clocks.judge(camera, file, opening(opened_s, exposure_s)) is FileOrigin.OWN
         clocks.follow(files, opening(opened_s, exposure_s))
 
 
@@ -75,23 +75,23 @@ def test_openings_in_order_are_accepted_whatever_the_bodies_clocks_say(gaps, dri
 def test_a_file_of_another_opening_is_refused(off_s: float, exposure_s: float):
     clocks = CameraClocks()
     clocks.follow({"right": stamped(100.0)}, opening(100.0, exposure_s))
-    assert clocks.judge("right", stamped(160.0 + off_s), opening(160.0, exposure_s)) is Verdict.FOREIGN
-    assert clocks.judge("right", stamped(170.0), opening(170.0, exposure_s)) is Verdict.OWN
+    assert clocks.judge("right", stamped(160.0 + off_s), opening(160.0, exposure_s)) is FileOrigin.FOREIGN
+    assert clocks.judge("right", stamped(170.0), opening(170.0, exposure_s)) is FileOrigin.OWN
 
 
 def test_a_late_file_is_its_own_opening_s_also_after_a_restart():
     clocks = CameraClocks()
     clocks.load("left", camera_seconds("20190101T100000") or 0.0, 10.0, 50.0)
     earlier, now = opening(100.0, 10.0, "a"), opening(115.0, 10.0, "b")
-    assert clocks.judge("left", stamped(100.0), now, [earlier]) is Verdict.EARLIER
+    assert clocks.judge("left", stamped(100.0), now, [earlier]) is FileOrigin.EARLIER
     assert clocks.owner("left", stamped(100.0), [earlier]) == earlier
-    assert clocks.judge("left", stamped(115.0), now, [earlier]) is Verdict.OWN
+    assert clocks.judge("left", stamped(115.0), now, [earlier]) is FileOrigin.OWN
 
 
 def test_two_openings_too_near_for_the_clock_are_not_guessed():
     clocks = CameraClocks()
     clocks.follow({"left": stamped(90.0)}, opening(90.0))
-    assert clocks.judge("left", stamped(101.0), opening(102.0), [opening(100.0)]) is Verdict.UNCLEAR
+    assert clocks.judge("left", stamped(101.0), opening(102.0), [opening(100.0)]) is FileOrigin.UNCLEAR
     assert not clocks.can_tell_apart("left", opening(100.0), 102.0)
     assert clocks.can_tell_apart("left", opening(100.0), 106.0)
 
@@ -103,32 +103,32 @@ def test_a_body_without_a_useful_clock_is_paired_by_order(captured_at: str):
     refused = 0
     for turn in range(6):
         now = opening(100.0 + 20.0 * turn)
-        if clocks.judge("left", file, now) is Verdict.OWN:
+        if clocks.judge("left", file, now) is FileOrigin.OWN:
             clocks.follow({"left": file}, now)
         else:
             refused += 1
             clocks.doubt("left")  # the fault makes the daemon connect anew
     assert refused == (1 if captured_at else 0)
-    assert clocks.judge("left", file, opening(300.0), [opening(290.0)]) is Verdict.UNCLEAR
+    assert clocks.judge("left", file, opening(300.0), [opening(290.0)]) is FileOrigin.UNCLEAR
     assert not clocks.can_tell_apart("left", opening(100.0), 300.0)
 
 
 def test_a_clock_that_a_person_sets_costs_one_capture():
     clocks = CameraClocks()
     clocks.follow({"left": stamped(100.0)}, opening(100.0))
-    assert clocks.judge("left", stamped(920.0), opening(120.0)) is Verdict.FOREIGN
-    assert clocks.judge("left", stamped(940.0), opening(140.0)) is Verdict.OWN
+    assert clocks.judge("left", stamped(920.0), opening(120.0)) is FileOrigin.FOREIGN
+    assert clocks.judge("left", stamped(940.0), opening(140.0)) is FileOrigin.OWN
     clocks.follow({"left": stamped(940.0)}, opening(140.0))
-    assert clocks.judge("left", stamped(150.0), opening(160.0)) is Verdict.FOREIGN
-    assert clocks.judge("left", stamped(960.0), opening(160.0)) is Verdict.OWN
+    assert clocks.judge("left", stamped(150.0), opening(160.0)) is FileOrigin.FOREIGN
+    assert clocks.judge("left", stamped(960.0), opening(160.0)) is FileOrigin.OWN
 
 
 def test_a_body_that_was_away_may_come_back_with_another_time():
     clocks = CameraClocks()
     clocks.follow({"left": stamped(100.0)}, opening(100.0))
     clocks.doubt("left")
-    assert clocks.judge("left", stamped(900.0), opening(120.0), [opening(110.0)]) is Verdict.UNCLEAR
-    assert clocks.judge("left", stamped(900.0), opening(120.0)) is Verdict.OWN
+    assert clocks.judge("left", stamped(900.0), opening(120.0), [opening(110.0)]) is FileOrigin.UNCLEAR
+    assert clocks.judge("left", stamped(900.0), opening(120.0)) is FileOrigin.OWN
 
 
 def test_files_of_outside_releases_are_sorted_into_captures():

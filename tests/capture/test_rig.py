@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from labdaemon.capture.lines import DeviceLine
-from labdaemon.capture.rig import Wired
+from labdaemon.capture.device_executor import ThreadExecutor
+from labdaemon.capture.rig import DeviceHandle
 from labdaemon.errors import DeviceRefused, DriverFault
 
 
@@ -32,17 +32,17 @@ class Clumsy:
     ],
 )
 async def test_whatever_a_driver_raises_is_its_device_s_fault(error: BaseException):
-    device = Wired(Clumsy(error), DeviceLine("left"))
+    device = DeviceHandle(Clumsy(error), ThreadExecutor("left"))
     for call in (device.call, device.urgent):
         with pytest.raises(DriverFault, match="left: its driver failed") as caught:
             await call(lambda driver: driver.status(), 5.0)
         assert caught.value.retryable
         assert caught.value.device == "left"
-    device.line.close()
+    device.executor.close()
 
 
 async def test_an_error_of_ours_stays_as_it_is():
-    device = Wired(Clumsy(DeviceRefused("said no", device="left")), DeviceLine("left"))
+    device = DeviceHandle(Clumsy(DeviceRefused("said no", device="left")), ThreadExecutor("left"))
     with pytest.raises(DeviceRefused, match="said no"):
         await device.call(lambda driver: driver.status(), 5.0)
-    device.line.close()
+    device.executor.close()

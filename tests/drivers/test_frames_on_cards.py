@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from labdaemon.capture.collect import store, wait_frame
-from labdaemon.capture.lines import DeviceLine
+from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.own_frames import FrameContext, prepare_cameras, wait_own
 from labdaemon.capture.pairing import CameraClocks, Opening
 from labdaemon.capture.recorder import Recorder
-from labdaemon.capture.rig import Rig, Wired
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.clock import SystemClock
 from labdaemon.errors import TransportError
 from labdaemon.journal import card_records
@@ -29,10 +29,10 @@ def body(rig):
 async def context(camera, tmp_path: Path) -> AsyncIterator[FrameContext]:
     clock, data = SystemClock(), tmp_path / "data"
     journal = Journal(data, clock, synchronous="OFF")
-    recorder = Recorder(journal, DeviceLine("journal"))
-    wired = Wired(camera, DeviceLine("left"))
+    recorder = Recorder(journal, ThreadExecutor("journal"))
+    wired = DeviceHandle(camera, ThreadExecutor("left"))
     yield FrameContext(Rig(None, None, {"left": wired}), recorder, clock, data, CameraClocks(), lambda: 20.0)
-    wired.line.close()
+    wired.executor.close()
     recorder.close()
     journal.close()
 
@@ -154,6 +154,6 @@ async def test_a_file_that_grew_after_it_was_fetched_is_not_deleted(rig, body, c
     del driver.download
     assert on_card(body) == ["DSC_0001.DNG"]
     await prepare_cameras(context)
-    [aside] = (context.data / "set_aside").rglob("*.DNG")
-    assert aside.read_bytes().endswith(b"written last")
+    [in_background] = (context.data / "set_aside").rglob("*.DNG")
+    assert in_background.read_bytes().endswith(b"written last")
     assert on_card(body) == []

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.campaign.measuring import Measured
+from labdaemon.campaign.measurement_queue import CaptureRows
 from labdaemon.errors import StorageError
 from labdaemon.processing import ENVELOPE_COLUMNS, read_csv
 from labdaemon.service.result_files import ResultFiles, captures_in, stamp
 
 
-def result(name: str, x_mm: float) -> Measured:
+def result(name: str, x_mm: float) -> CaptureRows:
     row = dict.fromkeys(ENVELOPE_COLUMNS) | {"capture": name, "target": "T1", "x_mm": x_mm, "flags": ["at_rest"]}
-    return Measured([row], [])
+    return CaptureRows([row], [])
 
 
 def test_files_are_written_anew_and_added_to(tmp_path: Path):

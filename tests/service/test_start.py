@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.devices import CameraInfo
-from labdaemon.capture.lines import DeviceLine
-from labdaemon.capture.rig import Rig, Wired
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.capture.table import Table
 from labdaemon.clock import SystemClock
 from labdaemon.errors import DeviceError, StorageError, TransportError
@@ -66,7 +66,12 @@ async def until(condition: Callable[[], bool]) -> None:
 
 async def test_devices_that_come_late_are_named_and_taken_up(start: Start):
     left, gauge = LateDevice("left"), LateDevice("gauge")
-    rig = Rig(None, None, {"left": Wired(left, DeviceLine("left"))}, (Wired(gauge, DeviceLine("gauge")),))  # type: ignore[arg-type]
+    rig = Rig(
+        None,
+        None,
+        {"left": DeviceHandle(left, ThreadExecutor("left"))},
+        (DeviceHandle(gauge, ThreadExecutor("gauge")),),
+    )  # type: ignore[arg-type]
     waiting = asyncio.create_task(start.reach_devices(rig, {"shaker": "known"}))
     await until(lambda: set(start.waiting_for) == {"left", "gauge"})
     status = await start.handlers()["status"]({})
@@ -87,7 +92,7 @@ async def test_devices_that_come_late_are_named_and_taken_up(start: Start):
 
 
 async def test_the_end_is_not_waited_for(start: Start):
-    rig = Rig(None, None, {"left": Wired(LateDevice("left"), DeviceLine("left"))})  # type: ignore[arg-type]
+    rig = Rig(None, None, {"left": DeviceHandle(LateDevice("left"), ThreadExecutor("left"))})  # type: ignore[arg-type]
     waiting = asyncio.create_task(start.reach_devices(rig, {}))
     await until(lambda: "left" in start.waiting_for)
     start.end.set_result(0)
@@ -100,7 +105,7 @@ async def test_an_error_of_a_running_part_ends_the_wait(start: Start):
         raise OSError("broken")
 
     start.parts.append(asyncio.create_task(fail()))
-    rig = Rig(None, None, {"left": Wired(LateDevice("left"), DeviceLine("left"))})  # type: ignore[arg-type]
+    rig = Rig(None, None, {"left": DeviceHandle(LateDevice("left"), ThreadExecutor("left"))})  # type: ignore[arg-type]
     with pytest.raises(OSError, match="broken"):
         await start.reach_devices(rig, {})
 

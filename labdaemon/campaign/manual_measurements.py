@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 from labdaemon.campaign.folder import renew_folder
-from labdaemon.campaign.measuring import Measuring
-from labdaemon.campaign.reporter import Reporter
-from labdaemon.capture.capture import Lab
-from labdaemon.capture.places import capture_folder, capture_toml
+from labdaemon.campaign.measurement_queue import MeasurementQueue
+from labdaemon.campaign.reporter import CampaignReporter
+from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.paths import capture_folder, capture_toml
 from labdaemon.durable import write_durably
 from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.journal import records, transitions
@@ -24,14 +24,14 @@ GROUP_QUIET_S = 20.0
 log = logging.getLogger(__name__)
 
 
-class ManualMeasuring:
+class ManualMeasurements:
     """Has manual captures measured as a campaign's are, so that `labdaemon process` reproduces them.
 
     Parameters
     ----------
-    lab
+    context
         The rig and the journal.
-    measuring
+    queue
         Where stored captures are measured.
     reporter
         Where faults are reported.
@@ -39,8 +39,14 @@ class ManualMeasuring:
         Files that the folder starts with: ``rig.toml`` and the surveys.
     """
 
-    def __init__(self, lab: Lab, measuring: Measuring, reporter: Reporter, folder_files: Mapping[str, str]) -> None:
-        self._lab, self._measuring, self._reporter = lab, measuring, reporter
+    def __init__(
+        self,
+        context: AcquisitionContext,
+        queue: MeasurementQueue,
+        reporter: CampaignReporter,
+        folder_files: Mapping[str, str],
+    ) -> None:
+        self._context, self._queue, self._reporter = context, queue, reporter
         self._files = folder_files
         self._opened: set[str] = set()
         self._reported: set[str] = set()
@@ -58,11 +64,11 @@ class ManualMeasuring:
         """
         if campaign is not None:
             return campaign
-        recorder = self._lab.recorder
+        recorder = self._context.recorder
         id = await recorder.write(transitions.open_manual)
         if id not in self._opened:
-            moved = await recorder.on_disk(renew_folder, self._lab.data, id, self._files)
-            await self._measuring.resume(id, {})
+            moved = await recorder.on_disk(renew_folder, self._context.data, id, self._files)
+            await self._queue.resume(id, {})
             self._opened.add(id)
             if moved:
                 log.warning(
@@ -76,7 +82,7 @@ class ManualMeasuring:
     async def take_up(self, campaign: str | None) -> None:
         """Measure what an earlier run left stored, once a start or a pause; does nothing where there is none."""
         id = campaign or transitions.MANUAL
-        journal = self._lab.recorder.journal
+        journal = self._context.recorder.journal
         pending = [one for one in records.captures(journal, id, "stored", step=NO_STEP) if not one.is_sharp]
         if not pending:
             return
@@ -97,7 +103,7 @@ class ManualMeasuring:
 
     def sharp_of(self, campaign: str, group: str | None) -> str | None:
         """The sharp set that a new capture is measured against: its group's, else the newest; None for the flat one."""
-        journal = self._lab.recorder.journal
+        journal = self._context.recorder.journal
         members = records.group_members(journal, campaign, group) if group is not None else []
         newest = records.latest_sharp(journal, campaign)
         return members[0].sharp if members else newest.sharp if newest is not None else None
@@ -116,17 +122,17 @@ class ManualMeasuring:
 
     async def _measure(self, members: Sequence[CaptureRecord], *, again: bool = False) -> None:
         campaign = members[-1].campaign
-        if records.latest_sharp(self._lab.recorder.journal, campaign) is None:
+        if records.latest_sharp(self._context.recorder.journal, campaign) is None:
             await self._report_no_sharp(campaign)
             return
-        await self._measuring.add_together(members, again=again)
+        await self._queue.add_together(members, again=again)
 
     async def _report_no_sharp(self, campaign: str) -> None:
         """Once, not for every capture of a night: they are kept, and measured as soon as there is a sharp set."""
         if campaign in self._reported:
             return
         self._reported.add(campaign)
-        then = " and release the shutters once" if self._lab.rig.trigger is None else ""
+        then = " and release the shutters once" if self._context.rig.trigger is None else ""
         exc = UsageError(
             f"captures of {campaign} have no sharp set to be measured against: with the structure at rest run "
             f"`labdaemon capture --sharp`{then}; those that are stored are measured then"
@@ -136,7 +142,7 @@ class ManualMeasuring:
     async def _adopt(self, sharp: CaptureRecord) -> None:
         """Measure captures that came before there was any sharp set against the first one."""
         self._reported.discard(sharp.campaign)
-        recorder = self._lab.recorder
+        recorder = self._context.recorder
         pending = [
             replace(one, sharp=sharp.sharp)
             for one in records.captures(recorder.journal, sharp.campaign, "stored", step=NO_STEP)
@@ -145,12 +151,12 @@ class ManualMeasuring:
         for one in pending:
             await recorder.write(transitions.describe_capture, one)
             await recorder.on_disk(
-                write_durably, capture_folder(self._lab.data, one) / "capture.toml", capture_toml(one)
+                write_durably, capture_folder(self._context.data, one) / "capture.toml", capture_toml(one)
             )
         await self._measure_all(pending)
 
     async def _measure_all(self, pending: Sequence[CaptureRecord]) -> None:
-        if pending and records.latest_sharp(self._lab.recorder.journal, pending[0].campaign) is None:
+        if pending and records.latest_sharp(self._context.recorder.journal, pending[0].campaign) is None:
             await self._report_no_sharp(pending[0].campaign)
             return
         for one in pending:
@@ -164,20 +170,20 @@ class ManualMeasuring:
         key = (campaign, group)
         if key in self._quiet:
             self._quiet[key].cancel()
-        self._quiet[key] = task = asyncio.create_task(self._lab.clock.sleep(GROUP_QUIET_S))
+        self._quiet[key] = task = asyncio.create_task(self._context.clock.sleep(GROUP_QUIET_S))
 
-        def quiet(done: asyncio.Task[None]) -> None:
+        def when_quiet(done: asyncio.Task[None]) -> None:
             if self._quiet.get(key) is done and not done.cancelled():
                 self._close(campaign, group)
 
-        task.add_done_callback(quiet)
+        task.add_done_callback(when_quiet)
 
     def _close(self, campaign: str, group: str) -> None:
         self._quiet.pop((campaign, group)).cancel()
         self._spawn(self._measure_group(campaign, group))
 
     async def _measure_group(self, campaign: str, group: str) -> None:
-        members = records.group_members(self._lab.recorder.journal, campaign, group)
+        members = records.group_members(self._context.recorder.journal, campaign, group)
         if members:
             await self._measure(members, again=True)
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-async def all_or_none(work: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
+async def gather_or_cancel(work: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
     """Results in order; the first error ends the others, and is raised when they have ended."""
     tasks = [asyncio.ensure_future(one) for one in work]
     try:
@@ -20,7 +20,7 @@ async def all_or_none(work: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def each_to_its_end(work: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
+async def gather_to_completion(work: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
     """Results in order; the first error is raised when all have come to their own end."""
     results = await asyncio.gather(*work, return_exceptions=True)
     for result in results:

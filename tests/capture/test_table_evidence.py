@@ -7,11 +7,11 @@ from itertools import product
 import pytest
 
 from labdaemon.capture.devices import GaugeReading
-from labdaemon.capture.evidence import Evidence, describe, gauge_sees_motion, judge, sights
+from labdaemon.capture.table_evidence import TableEvidence, describe, gauge_sees_motion, judge, sights
 
 UNKNOWN = (None, False, True)
 ALL = [
-    Evidence(*parts, line_proven=proven)
+    TableEvidence(*parts, line_proven=proven)
     for *parts, proven in product(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, (False, True))
 ]
 
@@ -19,23 +19,23 @@ ALL = [
 @pytest.mark.parametrize(
     ("evidence", "verdict"),
     [
-        (Evidence(), "unconfirmed"),
-        (Evidence(output_on=False), "rest"),
-        (Evidence(output_on=True), "moving"),
-        (Evidence(line_down=True), "unconfirmed"),  # the box's own answer proves nothing
-        (Evidence(line_down=True, line_proven=True), "rest"),
-        (Evidence(line_down=False, line_proven=True), "unconfirmed"),
-        (Evidence(output_on=True, line_down=True), "moving"),
-        (Evidence(output_on=True, line_down=True, line_proven=True), "rest"),  # as in the proof itself
-        (Evidence(output_on=True, amplifier_on=True, line_down=True, line_proven=True), "moving"),
-        (Evidence(output_on=True, amplifier_on=False), "rest"),
-        (Evidence(output_on=False, gauge_moves=True), "moving"),
-        (Evidence(gauge_moves=False), "rest"),
-        (Evidence(output_on=True, gauge_moves=False), "moving"),
-        (Evidence(line_down=True, line_proven=True, gauge_moves=True), "moving"),
+        (TableEvidence(), "unconfirmed"),
+        (TableEvidence(output_on=False), "rest"),
+        (TableEvidence(output_on=True), "moving"),
+        (TableEvidence(line_down=True), "unconfirmed"),  # the box's own answer proves nothing
+        (TableEvidence(line_down=True, line_proven=True), "rest"),
+        (TableEvidence(line_down=False, line_proven=True), "unconfirmed"),
+        (TableEvidence(output_on=True, line_down=True), "moving"),
+        (TableEvidence(output_on=True, line_down=True, line_proven=True), "rest"),  # as in the proof itself
+        (TableEvidence(output_on=True, amplifier_on=True, line_down=True, line_proven=True), "moving"),
+        (TableEvidence(output_on=True, amplifier_on=False), "rest"),
+        (TableEvidence(output_on=False, gauge_moves=True), "moving"),
+        (TableEvidence(gauge_moves=False), "rest"),
+        (TableEvidence(output_on=True, gauge_moves=False), "moving"),
+        (TableEvidence(line_down=True, line_proven=True, gauge_moves=True), "moving"),
     ],
 )
-def test_verdicts(evidence: Evidence, verdict: str):
+def test_verdicts(evidence: TableEvidence, verdict: str):
     assert judge(evidence) == verdict
 
 
@@ -53,13 +53,13 @@ def test_a_moving_gauge_overrules_everything():
 def test_without_a_proof_the_line_changes_no_verdict():
     for evidence in ALL:
         if not evidence.line_proven:
-            without = Evidence(evidence.output_on, evidence.amplifier_on, evidence.gauge_moves)
+            without = TableEvidence(evidence.output_on, evidence.amplifier_on, evidence.gauge_moves)
             assert judge(evidence) == judge(without)
 
 
 def test_what_was_seen_is_said():
-    assert describe(Evidence(output_on=False, gauge_moves=True)) == "shaker: rest, gauge: moving"
-    assert describe(Evidence()) == "nothing that can see answers"
+    assert describe(TableEvidence(output_on=False, gauge_moves=True)) == "shaker: rest, gauge: moving"
+    assert describe(TableEvidence()) == "nothing that can see answers"
 
 
 @pytest.mark.parametrize(

@@ -12,63 +12,63 @@ from typing import Any, Literal
 
 from labdaemon.errors import LabdaemonError
 
-Wish = Literal["go", "pause", "abort"]
+RequestedState = Literal["go", "pause", "abort"]
 
 
-class Interrupted(Exception):
+class StepInterruption(Exception):
     """The step was left because somebody wanted the campaign paused or aborted."""
 
 
-class Control:
+class RunControl:
     """Wishes and interlocks on their way to the step under way."""
 
     def __init__(self) -> None:
-        self.wish: Wish = "go"
+        self.requested: RequestedState = "go"
         self.reason: str | None = None
         """Why, for whoever asks."""
         self.tripped: LabdaemonError | None = None
         """What the guard ended the step for; None if it did not."""
-        self.news = asyncio.Event()
+        self.changed = asyncio.Event()
         """Something may be different now: look again."""
-        self.quiet = asyncio.Event()
+        self.no_capture_in_flight = asyncio.Event()
         """Set while no shutters are open and no frames are on their way."""
-        self.quiet.set()
-        self._walking: asyncio.Task[None] | None = None
+        self.no_capture_in_flight.set()
+        self._step_task: asyncio.Task[None] | None = None
 
     @property
-    def is_walking(self) -> bool:
+    def is_running_step(self) -> bool:
         """Whether a step is under way."""
-        return self._walking is not None
+        return self._step_task is not None
 
-    def clear(self, wish: Wish = "go") -> None:
+    def clear(self, requested: RequestedState = "go") -> None:
         """Begin afresh with this wish."""
-        self.wish, self.reason, self.tripped = wish, None, None
-        self.news.set()
+        self.requested, self.reason, self.tripped = requested, None, None
+        self.changed.set()
 
-    def want(self, wish: Wish, reason: str, *, at_once: bool = False) -> None:
+    def request(self, requested: RequestedState, reason: str, *, at_once: bool = False) -> None:
         """Have the step left; `at_once` does not wait for open shutters."""
-        self.wish, self.reason = wish, reason
-        self.news.set()
-        if self._walking is not None and (at_once or self.quiet.is_set()):
-            self._walking.cancel()
+        self.requested, self.reason = requested, reason
+        self.changed.set()
+        if self._step_task is not None and (at_once or self.no_capture_in_flight.is_set()):
+            self._step_task.cancel()
 
     def trip(self, error: LabdaemonError) -> None:
         """Have the step left at once, as by this error."""
         self.tripped = error
-        if self._walking is not None:
-            self._walking.cancel()
+        if self._step_task is not None:
+            self._step_task.cancel()
 
-    def begun(self) -> None:
+    def capture_started(self) -> None:
         """Shutters are about to open."""
-        self.quiet.clear()
+        self.no_capture_in_flight.clear()
 
-    def ended(self) -> None:
+    def capture_ended(self) -> None:
         """The capture is stored, or came to nothing; if somebody waited for that, the step is left now."""
-        self.quiet.set()
-        if self.wish != "go" and self._walking is not None:
-            self._walking.cancel()
+        self.no_capture_in_flight.set()
+        if self.requested != "go" and self._step_task is not None:
+            self._step_task.cancel()
 
-    async def walk(self, steps: Coroutine[Any, Any, None], guard: asyncio.Task[None]) -> None:
+    async def run_step(self, steps: Coroutine[Any, Any, None], monitor: asyncio.Task[None]) -> None:
         """Walk to the end.
 
         Raises
@@ -79,30 +79,30 @@ class Control:
             The step failed, or the guard tripped.
         """
         self.tripped = None
-        task = self._walking = asyncio.create_task(steps)
+        task = self._step_task = asyncio.create_task(steps)
         try:
-            await asyncio.wait({task, guard}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({task, monitor}, return_when=asyncio.FIRST_COMPLETED)
             if not task.done():
-                guard.result()  # without a guard nothing may move
+                monitor.result()  # without a guard nothing may move
         finally:
             if not task.done():
                 task.cancel()
                 await asyncio.wait({task})
-            self._walking = None
-            self.quiet.set()
+            self._step_task = None
+            self.no_capture_in_flight.set()
         if self.tripped is not None:
             raise self.tripped
         if task.cancelled():
-            raise Interrupted
+            raise StepInterruption
         task.result()
 
-    async def wait(self, guard: asyncio.Task[None], timeout_s: float | None = None) -> None:
+    async def wait(self, monitor: asyncio.Task[None], timeout_s: float | None = None) -> None:
         """Wait for news, or for this long; raises what ended the guard, if it has ended."""
-        news = asyncio.create_task(self.news.wait())
+        changed = asyncio.create_task(self.changed.wait())
         try:
-            await asyncio.wait({news, guard}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({changed, monitor}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            news.cancel()
-        if guard.done():
-            guard.result()
-        self.news.clear()
+            changed.cancel()
+        if monitor.done():
+            monitor.result()
+        self.changed.clear()

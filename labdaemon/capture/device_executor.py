@@ -23,7 +23,7 @@ MAX_STUCK = 8
 """Threads that may hang in one device's driver at a time before no more calls are made."""
 
 
-class Line(Protocol):
+class DeviceExecutor(Protocol):
     """How a device's blocking calls are made from the event loop."""
 
     async def call(self, function: Callable[[], T], timeout_s: float) -> T:
@@ -61,7 +61,7 @@ class _Worker:
             self.is_busy = False
 
 
-class DeviceLine:
+class ThreadExecutor:
     """A device's own thread.
 
     Parameters
@@ -140,7 +140,7 @@ class DeviceLine:
         return TransportError(f"did not answer within {timeout_s:g} s; check its cable and power", device=self._device)
 
 
-class InlineLine:
+class InlineExecutor:
     """For simulated time: makes the call at once and lets the time pass that the device says it took.
 
     Parameters

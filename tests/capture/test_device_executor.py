@@ -6,13 +6,13 @@ import time
 
 import pytest
 
-from labdaemon.capture.lines import MAX_STUCK, DeviceLine, InlineLine
+from labdaemon.capture.device_executor import MAX_STUCK, InlineExecutor, ThreadExecutor
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import ProtocolError, TransportError
 
 
 async def test_calls_run_one_after_the_other_on_one_thread():
-    line = DeviceLine("shaker")
+    line = ThreadExecutor("shaker")
     seen: list[tuple[int, int]] = []
 
     def call(number: int) -> int:
@@ -27,7 +27,7 @@ async def test_calls_run_one_after_the_other_on_one_thread():
 
 
 async def test_an_error_comes_back_as_it_is():
-    line = DeviceLine("shaker")
+    line = ThreadExecutor("shaker")
 
     def fail() -> None:
         raise ProtocolError("rubbish", device="shaker")
@@ -38,7 +38,7 @@ async def test_an_error_comes_back_as_it_is():
 
 
 async def test_a_call_that_hangs_is_given_up_and_the_next_one_works():
-    line, release = DeviceLine("camera"), threading.Event()
+    line, release = ThreadExecutor("camera"), threading.Event()
     with pytest.raises(TransportError, match=r"camera: did not answer within 0\.05 s"):
         await line.call(release.wait, 0.05)
     assert await line.call(lambda: "well", 5.0) == "well"
@@ -47,7 +47,7 @@ async def test_a_call_that_hangs_is_given_up_and_the_next_one_works():
 
 
 async def test_an_urgent_call_goes_past_a_busy_device():
-    line, release = DeviceLine("shaker"), threading.Event()
+    line, release = ThreadExecutor("shaker"), threading.Event()
     busy = asyncio.create_task(line.call(release.wait, 5.0))
     await asyncio.sleep(0)
     began = time.monotonic()
@@ -59,7 +59,7 @@ async def test_an_urgent_call_goes_past_a_busy_device():
 
 
 async def test_a_device_in_which_too_much_hangs_is_refused_until_it_lets_go():
-    line, release = DeviceLine("camera"), threading.Event()
+    line, release = ThreadExecutor("camera"), threading.Event()
     for _ in range(MAX_STUCK):
         with pytest.raises(TransportError, match="did not answer"):
             await line.call(release.wait, 0.01)
@@ -82,7 +82,7 @@ def test_the_inline_line_lets_the_time_pass_that_a_call_takes():
 
     async def main() -> None:
         spent = [2.5]
-        line = InlineLine("gauge", lambda: spent[0])
+        line = InlineExecutor("gauge", lambda: spent[0])
         assert await line.call(lambda: 7, 10.0) == 7
         assert clock.monotonic() == 2.5
         spent[0] = float("inf")

@@ -1,8 +1,9 @@
 """Bringing the table to rest, and not believing it before something that can see has seen it.
 
 First the ramp, for as long as the shaker's wire answers; where it does not, the shaker's hard stop and the drop of the
-enable line go out together, on wires opened anew, again and again, until the verdict of `labdaemon.capture.evidence`
-is rest or the patience is over. Who called then tries on, see `labdaemon.capture.keeper`.
+enable line go out together, on wires opened anew, again and again, until the verdict of
+`labdaemon.capture.table_evidence` is rest or the patience is over. Who called then tries on, see
+`labdaemon.capture.table_monitor`.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from collections.abc import Awaitable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from labdaemon.capture.evidence import Evidence, describe, judge
-from labdaemon.capture.observer import TableObserver
-from labdaemon.capture.rig import HARD_STOP_S, SOFT_STOP_S, Rig, Wired
+from labdaemon.capture.rig import HARD_STOP_S, SOFT_STOP_S, DeviceHandle, Rig
+from labdaemon.capture.table_evidence import TableEvidence, describe, judge
+from labdaemon.capture.table_observer import TableObserver
 from labdaemon.clock import Clock
 from labdaemon.errors import LabdaemonError, RestUnconfirmed, TransportError
 
@@ -30,11 +31,11 @@ SECOND_LOOKS = 2
 CONNECT_S = 20.0
 """A port that a replug moved takes its time."""
 
-By = Literal["soft", "hard", "enable", "seen", "none"]
+StopMethod = Literal["soft", "hard", "enable", "seen", "none"]
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class RestConfirmation:
     """How the table was brought to rest.
 
     Attributes
@@ -49,12 +50,12 @@ class Rest:
         What confirms it.
     """
 
-    by: By
+    by: StopMethod
     troubles: tuple[str, ...] = ()
-    seen: Evidence = field(default_factory=Evidence)
+    seen: TableEvidence = field(default_factory=TableEvidence)
 
 
-def unconfirmed(evidence: Evidence, troubles: list[str]) -> RestUnconfirmed:
+def rest_unconfirmed(evidence: TableEvidence, troubles: list[str]) -> RestUnconfirmed:
     """The error that says so.
 
     Parameters
@@ -79,7 +80,7 @@ async def bring_to_rest(
     *,
     at_once: bool = False,
     patience_s: float = PATIENCE_S,
-) -> Rest:
+) -> RestConfirmation:
     """Stop the table and wait until it is seen to rest.
 
     Parameters
@@ -97,11 +98,11 @@ async def bring_to_rest(
         Nothing that can see confirms, or something contradicts. The message names the emergency stop.
     """
     if rig.shaker is None:
-        return Rest("none")
+        return RestConfirmation("none")
     shaker = rig.shaker
     end_s = clock.monotonic() + patience_s
     troubles: list[str] = []
-    by: By | None = None
+    by: StopMethod | None = None
     looks = SECOND_LOOKS
     observer.forget()
     if not at_once and await _succeeds(shaker.urgent(lambda driver: driver.stop(), SOFT_STOP_S), troubles):
@@ -113,13 +114,13 @@ async def bring_to_rest(
         looks -= 1
         evidence = await observer.look()
         if judge(evidence) == "rest":
-            return Rest(by or "seen", tuple(dict.fromkeys(troubles)), evidence)
+            return RestConfirmation(by or "seen", tuple(dict.fromkeys(troubles)), evidence)
         if clock.monotonic() >= end_s:
-            raise unconfirmed(evidence, troubles)
+            raise rest_unconfirmed(evidence, troubles)
         await clock.sleep(max(began_s + RETRY_S - clock.monotonic(), 0.05))
 
 
-async def _stop_hard(rig: Rig, observer: TableObserver, troubles: list[str]) -> By | None:
+async def _stop_hard(rig: Rig, observer: TableObserver, troubles: list[str]) -> StopMethod | None:
     """Output off and enable line down, together; which of them was confirmed by its device."""
     assert rig.shaker is not None
     drop = observer.has_line and rig.trigger is not None
@@ -131,7 +132,7 @@ async def _stop_hard(rig: Rig, observer: TableObserver, troubles: list[str]) -> 
     return "hard" if is_off else "enable" if is_down else None
 
 
-async def _stop_now(device: Wired[Any], how: Literal["stop_now", "drop_enable"]) -> None:
+async def _stop_now(device: DeviceHandle[Any], how: Literal["stop_now", "drop_enable"]) -> None:
     """A stop by one device; connected to first where its driver does not open a broken wire by itself."""
     try:
         await device.urgent(lambda driver: getattr(driver, how)(), HARD_STOP_S)

@@ -7,8 +7,8 @@ import math
 from typing import Literal
 
 from labdaemon.capture.devices import GaugeReading, ShakerState
-from labdaemon.capture.evidence import Evidence, TableState, gauge_sees_motion, judge
 from labdaemon.capture.rig import OBSERVE_S, Rig
+from labdaemon.capture.table_evidence import TableEvidence, TableState, gauge_sees_motion, judge
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceRefused, LabdaemonError
 
@@ -23,7 +23,7 @@ RECORDS = 3
 CLEAR_SDS = 10.0
 """A sine that stands out so far explains its record: what is left of it is the gauge's noise."""
 
-Proof = Literal["untried", "proven", "failed"]
+EnableLineProof = Literal["untried", "proven", "failed"]
 
 
 class TableObserver:
@@ -48,7 +48,7 @@ class TableObserver:
 
     def __init__(self, rig: Rig, clock: Clock) -> None:
         self._rig, self._clock = rig, clock
-        self.proof: Proof = "untried"
+        self.proof: EnableLineProof = "untried"
         self.line_down: bool | None = None
         self.frequency_hz: float | None = None
         self._shaker: tuple[float, ShakerState] | None = None
@@ -62,12 +62,12 @@ class TableObserver:
         trigger = self._rig.trigger
         return trigger is not None and bool(getattr(trigger.driver, "holds_enable", True))
 
-    def evidence(self) -> Evidence:
+    def evidence(self) -> TableEvidence:
         """What was seen lately."""
         now_s = self._clock.monotonic()
         shaker = self._shaker[1] if self._shaker is not None and now_s - self._shaker[0] < FRESH_S else None
         gauge = self._gauge[1] if self._gauge is not None and now_s - self._gauge[0] < FRESH_S else None
-        return Evidence(
+        return TableEvidence(
             output_on=shaker.running if shaker is not None else None,
             amplifier_on=shaker.amplifier_on if shaker is not None else None,
             gauge_moves=gauge,
@@ -83,7 +83,7 @@ class TableObserver:
         """The table is about to be changed: what was seen before says nothing any more."""
         self._shaker = self._gauge = None
 
-    async def look(self, *, gauge: bool = True) -> Evidence:
+    async def look(self, *, gauge: bool = True) -> TableEvidence:
         """Ask all that can see, at once; who does not answer saw nothing."""
         await asyncio.gather(self.look_at_shaker(), self.look_at_gauge() if gauge else _nothing())
         return self.evidence()

@@ -1,8 +1,9 @@
 """The enable line and campaigns: none moves the table unattended before the line was seen to stop it.
 
-The proof (`labdaemon.capture.proof`) is made when a campaign is submitted to an idle rig, so that a person who is still
-there learns of a line that is wired to nothing, and otherwise as a campaign's first act. It holds until the process
-ends. A rig file may accept that there is no such line; then a failed proof is reported and the campaign runs.
+The proof (`labdaemon.capture.enable_line_proof`) is made when a campaign is submitted to an idle rig, so that a person
+who is still there learns of a line that is wired to nothing, and otherwise as a campaign's first act. It holds until
+the process ends. A rig file may accept that there is no such line; then a failed proof is reported and the campaign
+runs.
 """
 
 from __future__ import annotations
@@ -11,16 +12,16 @@ import asyncio
 import logging
 from typing import Literal
 
-from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.steps import Plan, Step
-from labdaemon.capture.capture import Lab
-from labdaemon.capture.proof import LineUnproven, can_prove, prove_line
+from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.enable_line_proof import LineUnproven, can_prove_enable_line, prove_enable_line
 from labdaemon.errors import DeviceError, InterlockError
 from labdaemon.stream.messages import WrongState
 
 log = logging.getLogger(__name__)
 
-LineState = Literal["proven", "failed", "untried", "impossible"]
+EnableLineState = Literal["proven", "failed", "untried", "impossible"]
 
 NO_LINE = (
     "no enable line of this rig can be proven to stop the table (it takes a trigger box that holds the amplifier's "
@@ -34,7 +35,7 @@ class EnableLine:
 
     Parameters
     ----------
-    lab
+    context
         The rig and its table.
     reporter
         For a proof that failed and was accepted.
@@ -42,20 +43,20 @@ class EnableLine:
         The rig file accepts a table without a proven line.
     """
 
-    def __init__(self, lab: Lab, reporter: Reporter, is_accepted: bool) -> None:
-        self._lab, self._reporter, self.is_accepted = lab, reporter, is_accepted
+    def __init__(self, context: AcquisitionContext, reporter: CampaignReporter, is_accepted: bool) -> None:
+        self._context, self._reporter, self.is_accepted = context, reporter, is_accepted
         self._turn = asyncio.Lock()
 
     @property
-    def state(self) -> LineState | None:
+    def state(self) -> EnableLineState | None:
         """For status; None without a shaker of ours."""
-        if self._lab.rig.shaker is None:
+        if self._context.rig.shaker is None:
             return None
-        proof = self._lab.table.observer.proof
-        return "impossible" if proof == "untried" and not can_prove(self._lab.rig) else proof
+        proof = self._context.table.observer.proof
+        return "impossible" if proof == "untried" and not can_prove_enable_line(self._context.rig) else proof
 
     async def admit(self, plan: Plan, *, is_idle: bool) -> None:
-        """Let a campaign in, proving the line first where nothing else goes on.
+        """Let a campaign in, proving the line first where no other campaign runs.
 
         Raises
         ------
@@ -105,8 +106,8 @@ class EnableLine:
         async with self._turn:
             if self.state == "proven":
                 return
-            lab = self._lab
-            await prove_line(lab.rig, lab.table, lab.clock, step.frequency_hz, step.amplitude_mm)
+            context = self._context
+            await prove_enable_line(context.rig, context.table, context.clock, step.frequency_hz, step.amplitude_mm)
             log.info("the enable line was seen to stop the table")
 
 

@@ -24,7 +24,7 @@ CALM_RATIO = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class TableEvidence:
     """What was seen of the table; None where nothing was seen.
 
     Attributes
@@ -38,7 +38,7 @@ class Evidence:
     line_down
         The trigger box says that the enable line is down.
     line_proven
-        That line was seen to end the table's motion, see `labdaemon.capture.proof`.
+        That line was seen to end the table's motion, see `labdaemon.capture.enable_line_proof`.
     """
 
     output_on: bool | None = None
@@ -48,7 +48,7 @@ class Evidence:
     line_proven: bool = False
 
 
-def sights(evidence: Evidence) -> dict[str, Sight]:
+def sights(evidence: TableEvidence) -> dict[str, Sight]:
     """What each witness says: ``shaker``, ``amplifier``, ``gauge``, ``enable line``; without those that saw nothing.
 
     An output that is on does not contradict a proven line that is down: in the proof, too, the output was on while
@@ -71,7 +71,7 @@ def sights(evidence: Evidence) -> dict[str, Sight]:
     return seen
 
 
-def judge(evidence: Evidence) -> TableState:
+def judge(evidence: TableEvidence) -> TableState:
     """``rest`` where a witness confirms it and none contradicts, ``moving`` where one contradicts."""
     seen = set(sights(evidence).values())
     if "moving" in seen:
@@ -79,7 +79,7 @@ def judge(evidence: Evidence) -> TableState:
     return "rest" if seen else "unconfirmed"
 
 
-def describe(evidence: Evidence) -> str:
+def describe(evidence: TableEvidence) -> str:
     """What was seen, for a message: ``shaker: rest, gauge: moving``."""
     return ", ".join(f"{who}: {what}" for who, what in sights(evidence).items()) or "nothing that can see answers"
 

@@ -26,7 +26,7 @@ class LineUnproven(InterlockError):
     """The enable line was not seen to stop the table."""
 
 
-def can_prove(rig: Rig) -> bool:
+def can_prove_enable_line(rig: Rig) -> bool:
     """Whether the rig has a line, and something that could see it stop the table.
 
     Whether a controller reports its amplifier is only known once it was asked: its driver says ``reports_amplifier``.
@@ -36,7 +36,7 @@ def can_prove(rig: Rig) -> bool:
     return rig.gauge("table") is not None or bool(getattr(rig.shaker.driver, "reports_amplifier", False))
 
 
-async def prove_line(rig: Rig, table: Table, clock: Clock, frequency_hz: float, largest_mm: float) -> None:
+async def prove_enable_line(rig: Rig, table: Table, clock: Clock, frequency_hz: float, largest_mm: float) -> None:
     """Let the table move a little, drop the line alone, and see the motion end; the table rests afterwards.
 
     Parameters

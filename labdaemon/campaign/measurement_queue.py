@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from labdaemon.capture.discard import discard_stored
-from labdaemon.capture.places import campaign_folder
+from labdaemon.capture.paths import campaign_folder
 from labdaemon.capture.recorder import Recorder
 from labdaemon.clock import Clock
 from labdaemon.errors import LabdaemonError, SetupError, StorageError, StorageUnavailable
@@ -22,7 +22,7 @@ from labdaemon.journal import records, transitions
 from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 Rows = list[dict[str, Any]]
-Patience = Callable[[Callable[[], Awaitable[object]]], Awaitable[object]]
+DiskRetry = Callable[[Callable[[], Awaitable[object]]], Awaitable[object]]
 
 log = logging.getLogger(__name__)
 
@@ -31,17 +31,17 @@ DISK_POLL_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class CaptureRows:
     """Rows of `envelope.csv` and of `measurements.csv`."""
 
     envelope: Rows
     measurements: Rows
 
 
-class Measurer(Protocol):
+class CaptureMeasurer(Protocol):
     """Turns stored frames into an envelope, off the event loop."""
 
-    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> Measured:
+    async def measure(self, folder: Path, sharp: str | None, captures: Sequence[str], name: str) -> CaptureRows:
         """Measure captures of a data-set folder jointly, under `name`.
 
         Raises
@@ -61,14 +61,14 @@ class Measurer(Protocol):
         """
         ...
 
-    def write_results(self, folder: Path, results: Iterable[Measured]) -> None:
+    def write_results(self, folder: Path, results: Iterable[CaptureRows]) -> None:
         """Write the folder's result files anew from everything measured so far, which may be more than fits memory.
 
         This and the following block, and are called off the event loop.
         """
         ...
 
-    def append_results(self, folder: Path, result: Measured) -> bool:
+    def append_results(self, folder: Path, result: CaptureRows) -> bool:
         """Add to the folder's result files, synced; False where they must be written anew."""
         ...
 
@@ -81,7 +81,7 @@ class Measurer(Protocol):
         ...
 
 
-class Measuring:
+class MeasurementQueue:
     """The queue between capturing and publishing.
 
     Parameters
@@ -97,7 +97,7 @@ class Measuring:
     def __init__(
         self,
         recorder: Recorder,
-        measurer: Measurer,
+        measurer: CaptureMeasurer,
         clock: Clock,
         data: Path,
         *,
@@ -112,7 +112,7 @@ class Measuring:
         self._group_sizes: dict[str, Mapping[str, int]] = {}
         self._writing = asyncio.Lock()
         self._broken: BaseException | None = None
-        self.patiently: Patience = self._until_taken
+        self.with_disk_retry: DiskRetry = self._until_taken
         """Does work that the disk may refuse for a while; the engine's own reports it."""
         self._start: asyncio.Task[None] | None = None
         self._checked: set[str] = set()
@@ -290,7 +290,7 @@ class Measuring:
             "exposure_s": last.exposure_s or None,
             "targets": measured.envelope,
         }
-        await self.patiently(
+        await self.with_disk_retry(
             lambda: self._recorder.write(
                 transitions.record_result,
                 campaign,
@@ -314,12 +314,12 @@ class Measuring:
         if is_manual:
             self._reported.add((campaign, str(exc)))
         told = {"device": "worker", "capture": name, "error": type(exc).__name__, "message": str(exc), "action": "kept"}
-        await self.patiently(
+        await self.with_disk_retry(
             lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, told, is_known=is_known)
         )
         self.finished += 1
 
-    async def _append(self, campaign: str, folder: Path, measured: Measured, *, again: bool) -> None:
+    async def _append(self, campaign: str, folder: Path, measured: CaptureRows, *, again: bool) -> None:
         """Add a result to the files, or write them anew where it replaces an earlier one.
 
         A folder that refuses it does not keep it from being published.
@@ -334,7 +334,7 @@ class Measuring:
 
     async def _rewrite(self, campaign: str) -> None:
         kept = records.results(self._recorder.journal, campaign)
-        done = (Measured(result.envelope, result.measurements) for result in kept)
+        done = (CaptureRows(result.envelope, result.measurements) for result in kept)
         folder = campaign_folder(self._data, campaign)
         await self._recorder.on_disk(self._measurer.write_results, folder, done)
 

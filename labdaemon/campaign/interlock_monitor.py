@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 from labdaemon.campaign import interlocks
 from labdaemon.campaign.disk import DataDisk
-from labdaemon.campaign.interlocks import Limits, Sighting
-from labdaemon.capture.capture import Lab
+from labdaemon.campaign.interlocks import GaugeSample, InterlockLimits
+from labdaemon.capture.capture import AcquisitionContext
 from labdaemon.capture.devices import Gauge
-from labdaemon.capture.rig import CALL_S, Wired
+from labdaemon.capture.rig import CALL_S, DeviceHandle
 from labdaemon.capture.table import displacement_mm
 from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError, StorageUnavailable
 
@@ -25,7 +25,7 @@ MISSES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class PollIntervals:
     """Seconds between two rounds of each loop. The enable line drops by itself after 1.5 s without a heartbeat."""
 
     heartbeat_s: float = 0.4
@@ -35,7 +35,7 @@ class Pace:
 
 
 @dataclass(slots=True)
-class Guard:
+class InterlockMonitor:
     """Runs the interlocks.
 
     Attributes
@@ -48,22 +48,22 @@ class Guard:
         The data disk.
     oldest_s
         How long the oldest capture has waited to be measured.
-    quiet
+    no_capture_in_flight
         Waits until no capture is under way: cameras are asked nothing while they expose or deliver.
-    beats
+    iterations
         Rounds that all loops have made: what a watchdog looks at.
     """
 
-    lab: Lab
-    limits: Limits
+    context: AcquisitionContext
+    limits: InterlockLimits
     trip: Callable[[LabdaemonError], None]
     disk: DataDisk
     oldest_s: Callable[[], float]
-    quiet: Callable[[], Awaitable[object]]
-    pace: Pace = field(default_factory=Pace)
-    beats: int = 0
+    no_capture_in_flight: Callable[[], Awaitable[object]]
+    intervals: PollIntervals = field(default_factory=PollIntervals)
+    iterations: int = 0
     _misses: dict[str, int] = field(default_factory=dict)
-    _seen: Sighting | None = None
+    _seen: GaugeSample | None = None
 
     async def run(self) -> None:
         """Watch until cancelled."""
@@ -75,11 +75,11 @@ class Guard:
             loops.create_task(self._cameras())
 
     async def _heartbeat(self) -> None:
-        trigger, table = self.lab.rig.trigger, self.lab.table
+        trigger, table = self.context.rig.trigger, self.context.table
         while True:
             if trigger is not None and table.enabled:
                 try:
-                    await trigger.observe(lambda driver: driver.heartbeat(), self.pace.heartbeat_s)
+                    await trigger.observe(lambda driver: driver.heartbeat(), self.intervals.heartbeat_s)
                 except DeviceRefused as exc:
                     table.enabled, table.observer.line_down = False, True
                     if table.excitation is not None:
@@ -88,8 +88,8 @@ class Guard:
                     self._missed(trigger.driver.name, exc)
                 else:
                     self._misses[trigger.driver.name] = 0
-            self.beats += 1
-            await self.lab.clock.sleep(self.pace.heartbeat_s)
+            self.iterations += 1
+            await self.context.clock.sleep(self.intervals.heartbeat_s)
 
     def _line_fell(self, device: str, exc: DeviceRefused) -> LabdaemonError:
         """Why the enable line is down: a wire that was lost may be tried again, anything else waits for a person."""
@@ -100,75 +100,75 @@ class Guard:
 
     async def _gauges(self) -> None:
         while True:
-            excitation = self.lab.table.excitation
+            excitation = self.context.table.excitation
             if excitation is None:
                 self._seen = None
             else:
-                for gauge in self.lab.rig.gauges:
+                for gauge in self.context.rig.gauges:
                     await self._watch(gauge, excitation.frequency_hz)
-            await self.lab.clock.sleep(self.pace.gauges_s)
+            await self.context.clock.sleep(self.intervals.gauges_s)
 
-    async def _watch(self, gauge: Wired[Gauge], frequency_hz: float) -> None:
+    async def _watch(self, gauge: DeviceHandle[Gauge], frequency_hz: float) -> None:
         name, driver = gauge.driver.name, gauge.driver
-        duration_s = max(WATCH_CYCLES / frequency_hz, self.pace.gauges_s)
+        duration_s = max(WATCH_CYCLES / frequency_hz, self.intervals.gauges_s)
         try:
             reading = await gauge.call(lambda gauge: gauge.read(frequency_hz, duration_s=duration_s), CALL_S)
         except DeviceError as exc:
             self._missed(name, exc)
             return
         self._misses[name] = 0
-        excitation = self.lab.table.excitation
+        excitation = self.context.table.excitation
         if excitation is None or excitation.frequency_hz != frequency_hz:
             return  # it changed while the gauge was read
         scale = displacement_mm(reading, driver.unit, frequency_hz) / reading.value if reading.value else 1.0
-        now = Sighting(self.lab.clock.monotonic(), scale * reading.value, scale * reading.sd)
+        now = GaugeSample(self.context.clock.monotonic(), scale * reading.value, scale * reading.sd)
         reason = None
         if driver.role == "response":
-            reason = interlocks.response_reason(self.limits, now, self._seen)
+            reason = interlocks.check_response(self.limits, now, self._seen)
             self._seen = now
-        elif self.lab.table.settled is not None:
-            self.lab.table.observer.learn_noise(reading, duration_s)
-            reason = interlocks.table_reason(self.limits, excitation.amplitude_mm, now)
+        elif self.context.table.settled is not None:
+            self.context.table.observer.learn_noise(reading, duration_s)
+            reason = interlocks.check_table(self.limits, excitation.amplitude_mm, now)
         if reason is not None:
             self.trip(InterlockError(reason))
 
     async def _disk(self) -> None:
         """A table that moves while nothing can be recorded is brought to rest."""
         while True:
-            if self.lab.table.excitation is not None:
+            if self.context.table.excitation is not None:
                 try:
                     await self.disk.check()
                 except StorageUnavailable as exc:
                     self.trip(exc)
-            await self.lab.clock.sleep(self.pace.room_s)
+            await self.context.clock.sleep(self.intervals.room_s)
 
     async def _workers(self) -> None:
         while True:
-            if self.lab.table.excitation is not None:
-                stalled = interlocks.stall_reason(self.limits, self.oldest_s())
+            if self.context.table.excitation is not None:
+                stalled = interlocks.check_workers(self.limits, self.oldest_s())
                 if stalled is not None:
                     self.trip(InterlockError(stalled))
-            await self.lab.clock.sleep(self.pace.room_s)
+            await self.context.clock.sleep(self.intervals.room_s)
 
     async def _cameras(self) -> None:
         while True:
-            for name in self.lab.rig.cameras:
-                await self.quiet()
+            for name in self.context.rig.cameras:
+                await self.no_capture_in_flight()
                 await self._ask_camera(name)
-            await self.lab.clock.sleep(self.pace.cameras_s)
+            await self.context.clock.sleep(self.intervals.cameras_s)
 
     async def _ask_camera(self, name: str) -> None:
         try:
-            status = await self.lab.rig.cameras[name].call(lambda driver: driver.status())
+            status = await self.context.rig.cameras[name].call(lambda driver: driver.status())
         except DeviceError as exc:
             self._missed(name, exc)
             return
         self._misses[name] = 0
-        reason = interlocks.camera_reason(self.limits, name, status)
-        if reason is not None and self.lab.table.excitation is not None:
+        reason = interlocks.check_camera(self.limits, name, status)
+        if reason is not None and self.context.table.excitation is not None:
             self.trip(InterlockError(reason))
 
     def _missed(self, device: str, exc: DeviceError) -> None:
         self._misses[device] = self._misses.get(device, 0) + 1
-        if self._misses[device] >= MISSES and self.lab.table.excitation is not None:
+        if self._misses[device] >= MISSES and self.context.table.excitation is not None:
             self.trip(exc)

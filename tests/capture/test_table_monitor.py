@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from labdaemon.capture.keeper import TableKeeper
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
+from labdaemon.capture.table_monitor import TableMonitor
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import LabdaemonError, RestUnconfirmed
 from labdaemon.testing.rig import FakeRig, fake_rig
@@ -24,7 +24,7 @@ class Scene:
 
     fake: FakeRig
     table: Table
-    keeper: TableKeeper
+    table_monitor: TableMonitor
     clock: SimulatedClock
     faults: list[tuple[float, str]] = field(default_factory=list)
     trips: list[LabdaemonError] = field(default_factory=list)
@@ -42,13 +42,13 @@ def run(scenario: Callable[[Scene], Awaitable[None]]) -> None:
     clock = SimulatedClock()
     fake = fake_rig(clock)
     table = Table(fake.rig, clock, 0.2)
-    scene = Scene(fake, table, TableKeeper(fake.rig, table, clock), clock)
-    scene.keeper.report = lambda error, action: scene.faults.append((clock.monotonic(), str(error)))
-    scene.keeper.trip = scene.trips.append
+    scene = Scene(fake, table, TableMonitor(fake.rig, table, clock), clock)
+    scene.table_monitor.report = lambda error, action: scene.faults.append((clock.monotonic(), str(error)))
+    scene.table_monitor.trip = scene.trips.append
 
     async def main() -> None:
         await table.stop(at_once=True)
-        keeping = asyncio.create_task(scene.keeper.run())
+        keeping = asyncio.create_task(scene.table_monitor.run())
         await clock.sleep(3.0)
         assert table.state == "rest"
         await scenario(scene)
@@ -73,7 +73,7 @@ def test_a_wire_that_is_lost_while_idle_is_a_fault_within_three_seconds_and_come
         scene.find()
         await scene.clock.sleep(4.0)
         assert scene.table.state == "rest"
-        assert not scene.keeper.lost
+        assert not scene.table_monitor.lost
         assert scene.trips == []
 
     run(scenario)

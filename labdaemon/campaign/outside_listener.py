@@ -7,10 +7,10 @@ from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any
 
-from labdaemon.campaign.attempts import Attempts, Policy
 from labdaemon.campaign.manual import ManualCaptures
-from labdaemon.campaign.reporter import Reporter
-from labdaemon.capture.capture import Lab
+from labdaemon.campaign.reporter import CampaignReporter
+from labdaemon.campaign.retry import RetryingStepRunner, RetryPolicy
+from labdaemon.capture.capture import AcquisitionContext
 from labdaemon.errors import LabdaemonError
 
 
@@ -21,9 +21,14 @@ class OutsideListener:
     """
 
     def __init__(
-        self, lab: Lab, manual: ManualCaptures, attempts: Attempts, reporter: Reporter, policy: Policy
+        self,
+        context: AcquisitionContext,
+        manual: ManualCaptures,
+        step_runner: RetryingStepRunner,
+        reporter: CampaignReporter,
+        policy: RetryPolicy,
     ) -> None:
-        self._lab, self._manual, self._attempts = lab, manual, attempts
+        self._context, self._manual, self._step_runner = context, manual, step_runner
         self._reporter, self._policy = reporter, policy
 
     async def during(self, wait: Coroutine[Any, Any, None], campaign: str | None) -> None:
@@ -49,13 +54,13 @@ class OutsideListener:
         failures = 0
         while True:
             try:
-                await self._manual.measuring.take_up(campaign)
-                if self._lab.rig.trigger is not None and self._lab.rig.shaker is not None:
+                await self._manual.measurements.take_up(campaign)
+                if self._context.rig.trigger is not None and self._context.rig.shaker is not None:
                     return
                 await self._manual.listen(campaign)
             except LabdaemonError as exc:
                 failures += 1
                 await self._reporter.fault(exc, campaign=campaign, step=None, action="listen again")
-                await self._lab.clock.sleep(self._policy.pause_s(failures))
+                await self._context.clock.sleep(self._policy.pause_s(failures))
                 await self._manual.finish()
-                await self._attempts.settle_down(None, None)
+                await self._step_runner.recover(None, None)

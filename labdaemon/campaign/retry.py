@@ -9,17 +9,17 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 
-from labdaemon.campaign.control import Control, Interrupted
-from labdaemon.campaign.guard import Pace
-from labdaemon.campaign.line import EnableLine
-from labdaemon.campaign.measuring import Measuring
-from labdaemon.campaign.reporter import Reporter
+from labdaemon.campaign.enable_line import EnableLine
+from labdaemon.campaign.interlock_monitor import PollIntervals
+from labdaemon.campaign.measurement_queue import MeasurementQueue
+from labdaemon.campaign.reporter import CampaignReporter
+from labdaemon.campaign.run_control import RunControl, StepInterruption
+from labdaemon.campaign.step_runner import StepRunner
 from labdaemon.campaign.steps import Step
-from labdaemon.campaign.walk import Walker
-from labdaemon.campaign.windows import POLL_S, wait_s
-from labdaemon.capture.capture import Lab
+from labdaemon.campaign.time_of_day import POLL_S, wait_s
+from labdaemon.capture.capture import AcquisitionContext
 from labdaemon.capture.recover import reconnect_suspects, recover
-from labdaemon.capture.rest import Rest
+from labdaemon.capture.table_stop import RestConfirmation
 from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, SetupError, StorageUnavailable
 from labdaemon.journal import transitions
 
@@ -27,7 +27,7 @@ MAX_BACKOFF_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Policy:
+class RetryPolicy:
     """How patient the engine is.
 
     Attributes
@@ -40,7 +40,7 @@ class Policy:
         Go on with campaigns that were planned for another rig file.
     window_s
         Frames of one outside release arrive from all cameras within this time.
-    pace
+    intervals
         How often the guard looks.
     accept_no_enable
         Move the table although no enable line was seen to stop it.
@@ -50,7 +50,7 @@ class Policy:
     backoff_s: float = 2.0
     accept_changed_rig: bool = False
     window_s: float = 5.0
-    pace: Pace = field(default_factory=Pace)
+    intervals: PollIntervals = field(default_factory=PollIntervals)
     accept_no_enable: bool = False
 
     def pause_s(self, failures: int) -> float:
@@ -58,21 +58,28 @@ class Policy:
         return float(min(self.backoff_s * 2.0 ** (failures - 1), MAX_BACKOFF_S))
 
 
-class Attempts:
+class RetryingStepRunner:
     """Walks steps, again where need be.
 
     Parameters
     ----------
-    lab
+    context
         The rig and the journal.
     control
         Where wishes and interlocks arrive.
     """
 
-    def __init__(self, lab: Lab, measuring: Measuring, control: Control, reporter: Reporter, policy: Policy) -> None:
-        self._lab, self._measuring, self._control = lab, measuring, control
+    def __init__(
+        self,
+        context: AcquisitionContext,
+        queue: MeasurementQueue,
+        control: RunControl,
+        reporter: CampaignReporter,
+        policy: RetryPolicy,
+    ) -> None:
+        self._context, self._queue, self._control = context, queue, control
         self._reporter, self._policy = reporter, policy
-        self.line = EnableLine(lab, reporter, policy.accept_no_enable)
+        self.enable_line = EnableLine(context, reporter, policy.accept_no_enable)
         self.needs_recovery = True
         """Something may be in flight that nobody looks after: at the start, and after every interruption."""
         self.doing = "starting"
@@ -80,15 +87,15 @@ class Attempts:
         self.began_s: float | None = None
         """Monotonic time at which the present attempt at a step began; None while no step is walked."""
 
-    async def do(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
-        """A step to its end, or until somebody wants something else (see `Control.wish`)."""
+    async def do(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
+        """A step to its end, or until somebody wants something else (see `RunControl.requested`)."""
         failures = 0
-        while self._control.wish == "go":
+        while self._control.requested == "go":
             try:
                 if self.needs_recovery:
-                    await self.settle_down(campaign, step)
-                await self._walk(campaign, step, guard)
-            except Interrupted:
+                    await self.recover(campaign, step)
+                await self._run_once(campaign, step, monitor)
+            except StepInterruption:
                 self.needs_recovery = True
                 return
             except StorageUnavailable as exc:
@@ -100,7 +107,7 @@ class Attempts:
             else:
                 return
 
-    async def settle_down(self, campaign: str | None, step: Step | None) -> None:
+    async def recover(self, campaign: str | None, step: Step | None) -> None:
         """Complete or give up whatever was in flight, reaching for lost devices again.
 
         Raises
@@ -112,9 +119,9 @@ class Attempts:
         failures = 0
         while True:
             try:
-                await self._lab.recorder.settled()
-                await reconnect_suspects(self._lab)
-                await recover(self._lab)
+                await self._context.recorder.wait_idle()
+                await reconnect_suspects(self._context)
+                await recover(self._context)
             except StorageUnavailable as exc:
                 await self._reporter.wait_for_disk(exc, campaign)
             except LabdaemonError as exc:
@@ -123,7 +130,7 @@ class Attempts:
                 if campaign is not None and failures >= self._policy.max_tries:
                     raise
                 await self._reporter.fault(exc, campaign=campaign, step=step, action="try again")
-                await self._lab.clock.sleep(self._policy.pause_s(failures))
+                await self._context.clock.sleep(self._policy.pause_s(failures))
             else:
                 self.needs_recovery = False
                 return
@@ -132,44 +139,49 @@ class Attempts:
         """The table rests for as long as the disk takes nothing."""
         self.doing = "waiting for the disk"
         try:
-            await self.leave()
+            await self.abort_to_rest()
         except InterlockError as worse:
             await self._reporter.fault(worse, campaign=campaign, step=step, action="use the emergency stop")
-            self._control.want("pause", str(worse))
+            self._control.request("pause", str(worse))
         self._control.tripped = None
         await self._reporter.wait_for_disk(exc, campaign)
 
-    async def leave(self) -> None:
+    async def abort_to_rest(self) -> None:
         """Table to rest before anything else; what was in flight is settled before the next step."""
         self.needs_recovery = True
         await self.stop_table()
 
-    async def stop_table(self) -> Rest:
+    async def stop_table(self) -> RestConfirmation:
         """Table to rest; a way to rest that did not confirm is told as a fault, though another one did."""
-        rest = await self._lab.table.stop()
+        rest = await self._context.table.stop()
         if rest.troubles:
             exc = DeviceError(f"brought to rest by {rest.by} stop only: {'; '.join(rest.troubles)}")
             await self._reporter.fault_soon(exc, action="look at the shaker")
         return rest
 
-    async def _walk(self, campaign: str, step: Step, guard: asyncio.Task[None]) -> None:
-        await self._wait_for_window(step, guard)
-        self.doing, self.began_s = step.kind, self._lab.clock.monotonic()
-        write = self._lab.recorder.write
+    async def _run_once(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
+        await self._wait_for_window(step, monitor)
+        self.doing, self.began_s = step.kind, self._context.clock.monotonic()
+        write = self._context.recorder.write
         told = {"label": step.label, "kind": step.kind}
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
         await write(transitions.start_step, campaign, step.index, {**told, **excitation})
         control = self._control
-        walker = Walker(
-            self._lab, campaign, self._measuring.add, control.begun, control.ended, window_s=self._policy.window_s
+        runner = StepRunner(
+            self._context,
+            campaign,
+            self._queue.add,
+            control.capture_started,
+            control.capture_ended,
+            window_s=self._policy.window_s,
         )
-        await control.walk(self._catch_up_and_walk(walker, step), guard)
+        await control.run_step(self._catch_up_and_run(runner, step), monitor)
         await write(transitions.end_step, campaign, step.index, told)
 
-    async def _catch_up_and_walk(self, walker: Walker, step: Step) -> None:
-        await self._measuring.catch_up(walker.campaign)
-        await self.line.before(step)
-        await walker.walk(step)
+    async def _catch_up_and_run(self, runner: StepRunner, step: Step) -> None:
+        await self._queue.catch_up(runner.campaign)
+        await self.enable_line.before(step)
+        await runner.run(step)
 
     async def _retries(self, campaign: str, step: Step, exc: LabdaemonError, failures: int) -> bool:
         """What a fault means for the step; False when it is over for now."""
@@ -180,7 +192,7 @@ class Attempts:
             action = "pause"  # to go on would shake through the night for nothing
         self._suspect(exc)
         try:
-            await self.leave()
+            await self.abort_to_rest()
         except InterlockError as worse:
             await self._reporter.fault(worse, campaign=campaign, step=step, action="pause")
             action = "pause"
@@ -188,27 +200,27 @@ class Attempts:
         self._control.tripped = None
         match action:
             case "retry":
-                await self._lab.clock.sleep(self._policy.pause_s(failures))
+                await self._context.clock.sleep(self._policy.pause_s(failures))
                 return True
             case "skip":
                 told = {"label": step.label, "kind": step.kind}
-                await self._reporter.patiently(
-                    lambda: self._lab.recorder.write(transitions.end_step, campaign, step.index, told, str(exc))
+                await self._reporter.with_disk_retry(
+                    lambda: self._context.recorder.write(transitions.end_step, campaign, step.index, told, str(exc))
                 )
-            case _ if self._control.wish == "go":
-                self._control.want(action, str(exc))
+            case _ if self._control.requested == "go":
+                self._control.request(action, str(exc))
         return False
 
     def _suspect(self, exc: LabdaemonError) -> None:
         """A device that failed is connected to anew before it is used again."""
         if isinstance(exc, DeviceError) and exc.device is not None:
-            self._lab.suspects.add(exc.device)
+            self._context.suspect_devices.add(exc.device)
 
-    async def _wait_for_window(self, step: Step, guard: asyncio.Task[None]) -> None:
-        while (left_s := wait_s(self._lab.clock.now().astimezone(), step.not_before, step.not_after)) > 0.0:
+    async def _wait_for_window(self, step: Step, monitor: asyncio.Task[None]) -> None:
+        while (left_s := wait_s(self._context.clock.now().astimezone(), step.not_before, step.not_after)) > 0.0:
             self.doing = f"waiting until {step.not_before or '00:00'}"
-            if self._lab.table.excitation is not None:
-                await self._lab.table.stop()
-            await self._control.wait(guard, min(left_s, POLL_S))
-            if self._control.wish != "go":
-                raise Interrupted
+            if self._context.table.excitation is not None:
+                await self._context.table.stop()
+            await self._control.wait(monitor, min(left_s, POLL_S))
+            if self._control.requested != "go":
+                raise StepInterruption

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from labdaemon.capture.rest import CONNECT_S, unconfirmed
-from labdaemon.capture.rig import Rig, Wired
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.capture.table import Table
+from labdaemon.capture.table_stop import CONNECT_S, rest_unconfirmed
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError, LabdaemonError, RestUnconfirmed
 
@@ -30,7 +30,7 @@ GAUGE_ROUNDS = 3
 """A table at rest is looked at with the gauge in one round of so many."""
 
 
-class TableKeeper:
+class TableMonitor:
     """Watches the wires that stop the table.
 
     Parameters
@@ -82,7 +82,7 @@ class TableKeeper:
         if moving:
             self.trip(exc)
         elif self._table.unconfirmed is None:  # read back or not, it must be seen again
-            self._table.unconfirmed = unconfirmed(self._table.observer.evidence(), [str(exc)])
+            self._table.unconfirmed = rest_unconfirmed(self._table.observer.evidence(), [str(exc)])
 
     async def _look_at_trigger(self) -> None:
         trigger = self._rig.trigger
@@ -104,7 +104,7 @@ class TableKeeper:
         if self._rounds_up >= IN_A_ROW:
             await self._drop(trigger)
 
-    async def _drop(self, trigger: Wired[Any]) -> None:
+    async def _drop(self, trigger: DeviceHandle[Any]) -> None:
         try:
             await trigger.urgent(lambda driver: driver.drop_enable())
         except LabdaemonError as exc:
@@ -122,7 +122,7 @@ class TableKeeper:
         with suppress(LabdaemonError):  # it is asked again soon; a campaign that needs it says what is wrong
             await gauge.call(lambda driver: driver.connect(), CONNECT_S)
 
-    def _misses_it(self, device: Wired[Any], exc: LabdaemonError | None) -> bool:
+    def _misses_it(self, device: DeviceHandle[Any], exc: LabdaemonError | None) -> bool:
         """Count misses; True when it has just become lost."""
         name = device.driver.name
         if exc is None:
@@ -139,7 +139,7 @@ class TableKeeper:
         self.lost.add(name)
         return True
 
-    async def _reconnect(self, device: Wired[Any]) -> None:
+    async def _reconnect(self, device: DeviceHandle[Any]) -> None:
         try:
             await device.urgent(lambda driver: driver.connect(), CONNECT_S)
         except LabdaemonError:
@@ -169,7 +169,7 @@ class TableKeeper:
         log.warning("the table is seen at rest again")
 
 
-def _lost(exc: LabdaemonError, device: Wired[Any], moving: bool) -> DeviceError:
+def _lost(exc: LabdaemonError, device: DeviceHandle[Any], moving: bool) -> DeviceError:
     name = device.driver.name
     what = (
         "its table moves and is stopped by what is left; use the emergency stop if it moves on"

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from labdaemon.capture.proof import LineUnproven, can_prove, prove_line
+from labdaemon.capture.enable_line_proof import LineUnproven, can_prove_enable_line, prove_enable_line
 from labdaemon.capture.table import Table
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DeviceError
@@ -38,7 +38,7 @@ def run(scenario: Scenario) -> None:
 
 def test_a_line_that_stops_the_table_is_proven_and_the_table_rests():
     async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
-        await prove_line(fake.rig, table, clock, 5.0, 2.0)
+        await prove_enable_line(fake.rig, table, clock, 5.0, 2.0)
         assert table.observer.proof == "proven"
         assert table.state == "rest"
         assert fake.world.amplitude_mm == 0.2
@@ -51,7 +51,7 @@ def test_a_line_that_is_wired_to_nothing_fails_and_the_table_rests():
     async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
         fake.world.line_wired = False
         with pytest.raises(LineUnproven, match="was seen to move on"):
-            await prove_line(fake.rig, table, clock, 5.0, 2.0)
+            await prove_enable_line(fake.rig, table, clock, 5.0, 2.0)
         assert table.observer.proof == "failed"
         assert table.state == "rest"
         assert not fake.world.running
@@ -63,7 +63,7 @@ def test_a_gauge_that_sees_nothing_proves_nothing():
     async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
         fake.gauges[0].gain = 0.0
         with pytest.raises(LineUnproven, match="neither table gauge nor controller saw the table move"):
-            await prove_line(fake.rig, table, clock, 5.0, 2.0)
+            await prove_enable_line(fake.rig, table, clock, 5.0, 2.0)
         assert table.observer.proof == "failed"
 
     run(scenario)
@@ -74,7 +74,7 @@ def test_a_device_that_fails_meanwhile_leaves_it_untried():
         fake.world.fail("trigger.drop_enable", "gone", "gone")  # the first drop, and the one of a second try
         fake.world.fail("shaker.set", "gone")
         with pytest.raises(DeviceError, match="port is gone"):
-            await prove_line(fake.rig, table, clock, 5.0, 2.0)
+            await prove_enable_line(fake.rig, table, clock, 5.0, 2.0)
         assert table.observer.proof == "untried"
 
     run(scenario)
@@ -82,7 +82,7 @@ def test_a_device_that_fails_meanwhile_leaves_it_untried():
 
 def test_it_moves_no_further_than_the_campaign():
     async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
-        await prove_line(fake.rig, table, clock, 5.0, 0.1)
+        await prove_enable_line(fake.rig, table, clock, 5.0, 0.1)
         assert fake.world.amplitude_mm == 0.1
 
     run(scenario)
@@ -90,7 +90,7 @@ def test_it_moves_no_further_than_the_campaign():
 
 def test_it_takes_a_line_and_something_that_sees():
     fake = fake_rig(SimulatedClock())
-    assert can_prove(fake.rig)
-    assert not can_prove(replace(fake.rig, gauges=()))
-    assert not can_prove(replace(fake.rig, trigger=None))
-    assert not can_prove(replace(fake.rig, shaker=None))
+    assert can_prove_enable_line(fake.rig)
+    assert not can_prove_enable_line(replace(fake.rig, gauges=()))
+    assert not can_prove_enable_line(replace(fake.rig, trigger=None))
+    assert not can_prove_enable_line(replace(fake.rig, shaker=None))
