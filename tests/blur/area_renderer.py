@@ -114,11 +114,11 @@ def render(
     if scene.texture > 0:
         rng = np.random.default_rng(scene.texture_seed)
         pad = int(4 * scene.texture_px) + 64
-        grain = ndimage.gaussian_filter(rng.normal(size=(h + 2 * pad, w + 2 * pad)), scene.texture_px)
-        grain *= scene.texture * 2 * np.sqrt(np.pi) * scene.texture_px
+        texture = ndimage.gaussian_filter(rng.normal(size=(h + 2 * pad, w + 2 * pad)), scene.texture_px)
+        texture *= scene.texture * 2 * np.sqrt(np.pi) * scene.texture_px
         moved = np.zeros((h, w))
         for mx, my in zip(dx, dy, strict=True):
-            moved += ndimage.shift(grain, (my, mx), order=1, mode="nearest")[pad : pad + h, pad : pad + w]
+            moved += ndimage.shift(texture, (my, mx), order=1, mode="nearest")[pad : pad + h, pad : pad + w]
         moved /= len(dx)
         reflect = reflect * (1 + np.kron(moved, np.ones((FINE, FINE))))
     y, x = np.mgrid[0:h, 0:w].astype(float)

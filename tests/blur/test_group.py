@@ -43,9 +43,9 @@ def test_two_phases_a_quarter_apart_give_signed_vectors_whatever_the_drift(area,
 
 def test_timing_uncertainty_is_in_the_covariance(area, sharp):
     phases = (0.4, 0.4 + np.pi / 2)
-    pictures = frames(area, (4.0, 0.0, 0.0, 0.0), 5.5, phases)
+    images = frames(area, (4.0, 0.0, 0.0, 0.0), 5.5, phases)
     exact, loose = (
-        measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p, sd) for p in phases], defocus=STILL)
+        measure_group(sharp, images, [ExposureWindow(5.5, 1.0, p, sd) for p in phases], defocus=STILL)
         for sd in (0.0, 0.05)
     )
     # an error that both openings share turns the phase by as much: 4 px · 0.05 rad / sqrt 2 at least
@@ -54,8 +54,8 @@ def test_timing_uncertainty_is_in_the_covariance(area, sharp):
 
 def test_whole_cycles_hold_no_phase_and_are_averaged(area, sharp):
     phases = (0.4, 0.4 + np.pi / 2)
-    pictures = frames(area, (3.0, 0.5, 0.0, 0.0), 5.0, phases)
-    found = measure_group(sharp, pictures, [ExposureWindow(5.0, 1.0, p) for p in phases], defocus=STILL)
+    images = frames(area, (3.0, 0.5, 0.0, 0.0), 5.0, phases)
+    found = measure_group(sharp, images, [ExposureWindow(5.0, 1.0, p) for p in phases], defocus=STILL)
     assert not found.phased
     assert not found.flags
     assert np.hypot(*(found.a_px - (3.0, 0.5))) < 0.03
@@ -64,11 +64,11 @@ def test_whole_cycles_hold_no_phase_and_are_averaged(area, sharp):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_motion_too_small_for_its_phase_is_unflagged_and_says_how_little_is_known(area, sharp, seed):
     scene, motion, phases = area.Scene(radius_px=12.0), (0.3, 0.1, -0.35, -0.12), (0.4, 0.4 + np.pi / 2)
-    pictures = [
+    images = [
         area.render(scene, (64, 66), (33, 31), area.part_cycles(*motion, 5.5, p), seed=10 * seed + i, samples=440)
         for i, p in enumerate(phases)
     ]
-    found = measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL)
+    found = measure_group(sharp, images, [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL)
     assert not found.flags
     got, sd = np.concatenate((found.a_px, found.b_px)), np.sqrt(np.diag(found.covariance_px2)[2:])
     assert np.all(np.abs(got - motion) < 3 * sd)
@@ -83,11 +83,11 @@ def test_motion_too_small_for_its_phase_is_unflagged_and_says_how_little_is_know
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_small_orbit_is_unflagged_within_its_deviations(area, sharp, seed):
     scene, motion, phases = area.Scene(radius_px=12.0), (1.0, 0.3, -0.2, 0.6), (0.4, 0.4 + np.pi / 2)
-    pictures = [
+    images = [
         area.render(scene, (64, 66), (33, 31), area.part_cycles(*motion, 5.5, p), seed=10 * seed + i, samples=440)
         for i, p in enumerate(phases)
     ]
-    found = measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL)
+    found = measure_group(sharp, images, [ExposureWindow(5.5, 1.0, p) for p in phases], defocus=STILL)
     assert not found.flags
     got, sd = np.concatenate((found.a_px, found.b_px)), np.sqrt(np.diag(found.covariance_px2)[2:])
     assert np.all(np.abs(got - motion) < 4 * sd + 0.02)
@@ -104,11 +104,11 @@ def test_a_single_frame_of_a_group_has_a_mirror_image(area, sharp):
 
 
 def test_a_group_needs_its_phases(area, sharp):
-    pictures = frames(area, (3.0, 0.5, 0.0, 0.0), 5.5, (0.1,))
+    images = frames(area, (3.0, 0.5, 0.0, 0.0), 5.5, (0.1,))
     with pytest.raises(UsageError, match="phase"):
-        measure_group(sharp, pictures, [ExposureWindow(5.5, 1.0)])
+        measure_group(sharp, images, [ExposureWindow(5.5, 1.0)])
     with pytest.raises(UsageError, match="window"):
-        measure_group(sharp, pictures, [])
+        measure_group(sharp, images, [])
 
 
 @pytest.mark.parametrize(("size", "bent"), [(1.5, True), (7.0, False)])
@@ -116,8 +116,8 @@ def test_a_phase_that_shows_less_than_its_circle_is_straight_keeps_its_axis_apar
     """Cameras are joined by the axis then: two tangents of one circle would cross where neither phase is."""
     phases = (0.4, 0.4 + np.pi / 2)
     windows = [ExposureWindow(5.5, 1.0, p) for p in phases]
-    pictures = frames(area, (size, 0.3 * size, 0.5 * size, 0.15 * size), 5.5, phases)
-    found = measure_group(sharp, pictures, windows, defocus=STILL)
+    images = frames(area, (size, 0.3 * size, 0.5 * size, 0.15 * size), 5.5, phases)
+    found = measure_group(sharp, images, windows, defocus=STILL)
     assert found.phased
     assert (found.axes is not None) == bent
 

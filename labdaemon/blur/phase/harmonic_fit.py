@@ -1,4 +1,4 @@
-"""A steady motion through known windows, one frame or several: standing where that explains it, an orbit else."""
+"""A periodic motion through known windows, one frame or several: in phase where that explains it, else an orbit."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Models of motion seen through known windows: one or several frames, each frame's mean position its own.
 
-The parameters are x, y and extra blur of each frame, then the shape's, then the motion's: the vector v of a standing
+The parameters are x, y and extra blur of each frame, then the shape's, then the motion's: the vector v of an in-phase
 motion v·sin(ωt + ψ) at a held phase ψ, the same with its phase, or the vectors a and b of an orbit.
 """
 
@@ -106,7 +106,7 @@ class FrameSet:
         max_amplitude_px
             Largest amplitude to be represented.
         """
-        count, lattices = len(self.problems), len(self.problems[0].planes.channel)
+        count, plane_count = len(self.problems), len(self.problems[0].planes.channel)
         shape = self.planes.values.shape
         models = [
             fast_forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)))
@@ -123,7 +123,7 @@ class FrameSet:
                     )
                 )
                 image, slopes = one(own)
-                rows = slice(lattices * index, lattices * (index + 1))
+                rows = slice(plane_count * index, plane_count * (index + 1))
                 _, height, width = problem.planes.values.shape
                 dark[rows, :height, :width] = image
                 by_p[FRAME_PARAMETERS * index : FRAME_PARAMETERS * index + FRAME_PARAMETERS, rows, :height, :width] = (

@@ -115,8 +115,8 @@ class _TextureNoise:
     Attributes
     ----------
     predictions
-        What the sharp frame's map predicts (darker: negative), DN: moved and smeared with the target, and standing
-        still. Empty without a map.
+        What the sharp frame's map predicts (darker: negative), DN: moved and blurred with the target, and static.
+        Empty without a map.
     noise
         With the paper texture's strength and length.
     map_noise
@@ -187,8 +187,8 @@ class _TextureNoise:
         power = texture_power(self.noise, fx**2 + fy**2)
         left = unmapped_power(power, self.map_noise, fx, fy)
         smear = closed_form.blurred_orbit_transfer(fx, fy, self.blur_px2, self.moment_px2)
-        standing = left + unmapped * (power - left)
-        result: FloatArray = texture_amplitudes[0] ** 2 * left * smear**2 + texture_amplitudes[1] ** 2 * standing
+        static_power = left + unmapped * (power - left)
+        result: FloatArray = texture_amplitudes[0] ** 2 * left * smear**2 + texture_amplitudes[1] ** 2 * static_power
         return result
 
 

@@ -103,11 +103,11 @@ def test_from_pictures(area, seed):
     motions = [(x * c, y * c, x * s, y * s) for x, y in along]
     c2, s2 = np.cos(phase), np.sin(phase)
     motions += [(4.0 * c2, 0.5 * c2, 4.0 * s2, 0.5 * s2), (3.0, 0.0, 0.0, 1.5), (0.2 * c, 0.0, 0.2 * s, 0.0)]
-    pictures = [
+    images = [
         area.render(scene, (72, 76), (38.1, 36), area.part_cycles(*m, CYCLES, 0.0), seed=10 * seed + i, samples=440)
         for i, m in enumerate(motions)
     ]
-    found = find_relative_signs([sharp] * len(pictures), pictures, WINDOW, defocus=STILL)
+    found = find_relative_signs([sharp] * len(images), images, WINDOW, defocus=STILL)
     assert np.all(found.sign[:4] != 0)
     assert not found.sign[4:].any()
     for got, true in zip(found.vector_px[:4], along, strict=True):

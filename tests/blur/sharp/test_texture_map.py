@@ -130,11 +130,11 @@ def test_what_is_left_of_the_grain_has_the_stated_power():
     found = np.zeros_like(decide_sign)
     rng = np.random.default_rng(3)
     for _ in range(100):
-        grain = np.fft.irfft2(np.fft.rfft2(rng.normal(size=size)) * np.sqrt(power), s=size)
-        seen = grain + rng.normal(0.0, np.sqrt(map_noise), size)
+        texture = np.fft.irfft2(np.fft.rfft2(rng.normal(size=size)) * np.sqrt(power), s=size)
+        seen = texture + rng.normal(0.0, np.sqrt(map_noise), size)
         seen -= ndimage.uniform_filter(seen, TEXTURE_MAP.background_size_px, mode="wrap")
         mapped = np.fft.irfft2(np.fft.rfft2(seen) * (power / (power + map_noise)), s=size)
-        found += np.abs(np.fft.rfft2(grain - mapped)) ** 2 / (100 * size[0] * size[1])
+        found += np.abs(np.fft.rfft2(texture - mapped)) ** 2 / (100 * size[0] * size[1])
     f = np.hypot(fx, fy)
     for low, high in ((0.0, 0.02), (0.02, 0.05), (0.05, 0.1), (0.1, 0.3)):
         band = (f >= low) & (f < high)

@@ -15,7 +15,7 @@ LIGHT = np.tile([1000.0, 30.0, -20.0, 0.9], (4, 1))
 SIGMA = 5.0
 
 
-def pictures(seed=3):
+def images(seed=3):
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[-1 : 1 : SHAPE[1] * 1j, -1 : 1 : SHAPE[2] * 1j]
     base = np.exp(-4 * (x**2 + y**2)) * np.ones(SHAPE)
@@ -45,7 +45,7 @@ def weights(signal):
 
 @pytest.fixture
 def linear():
-    base, by_p, rng = pictures()
+    base, by_p, rng = images()
     return planes_of(base, by_p, rng), base, by_p, Prior(np.zeros(3), np.eye(3) * 1e-6)
 
 
