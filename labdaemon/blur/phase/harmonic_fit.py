@@ -9,7 +9,7 @@ import numpy as np
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile, profile_phase
 from labdaemon.blur.phase.orbit_phase import condition_on_phase, marginalise_orbit_phase
-from labdaemon.blur.phase.orbits import estimate_minor_axis, perpendicular, solve_orbit
+from labdaemon.blur.phase.orbits import MinorAxis, estimate_minor_axis, perpendicular, solve_orbit
 from labdaemon.blur.phase.posterior import InPhaseMotion, in_phase_vectors, is_bimodal, marginalise_phase
 from labdaemon.blur.settings import PHASE, UNCERTAINTY
 from labdaemon.blur.smear.frame_set import (
@@ -87,25 +87,36 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
     one_sided = max(blur.anisotropy_px2 for blur in frame_set.blurs)
     unsure = float(np.hypot(minor.sd_square_px2, one_sided))
     if orbit and minor.square_px2 > UNCERTAINTY.rest_sds * unsure:
-        best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
-        covariance = windowed_covariance(best, frame_set, window_orbit_transfer)
-        selector = _motion_selector(frame_set, len(best.p), 4)
-        value, covariance = selector @ best.p, selector @ covariance @ selector.T
-        held = condition_on_phase(value, covariance)
-        size, sd = _vector_length(value[2:], held[2:, 2:])
-        phase_unresolved, alone = False, not frame_set.shows_phase
-        # A single frame under constant light always has its time-reversed solution. The other direction of rotation
-        # needs no flag: the covariance includes it.
-        linear = covariance
-        near = other is not None and _cost_excess(best, other) < PHASE.rival_cost
-        if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):
-            covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
-        ambiguous = alone
-        if time_reversed is not None:
-            away = selector @ time_reversed.p - value
-            ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
-        steady = HarmonicFit(value, covariance, size, sd, best, profile, None, held, 0.0, phase_unresolved, ambiguous)
-        return replace(steady, anisotropy_px2=one_sided)
+        found = _fit_orbit(frame_set, profile, moment_px2, minor)
+    else:
+        found = _fit_in_phase(frame_set, profile, minor)
+    return replace(found, anisotropy_px2=one_sided)
+
+
+def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArray, minor: MinorAxis) -> HarmonicFit:
+    """The orbit whose minor axis shows, and whether its time-reversed solution fits as well."""
+    best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
+    covariance = windowed_covariance(best, frame_set, window_orbit_transfer)
+    selector = _motion_selector(frame_set, len(best.p), 4)
+    value, covariance = selector @ best.p, selector @ covariance @ selector.T
+    held = condition_on_phase(value, covariance)
+    size, sd = _vector_length(value[2:], held[2:, 2:])
+    phase_unresolved, alone = False, not frame_set.shows_phase
+    # A single frame under constant light always has its time-reversed solution. The other direction of rotation
+    # needs no flag: the covariance includes it.
+    linear = covariance
+    near = other is not None and _cost_excess(best, other) < PHASE.rival_cost
+    if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):
+        covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
+    ambiguous = alone
+    if time_reversed is not None:
+        away = selector @ time_reversed.p - value
+        ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
+    return HarmonicFit(value, covariance, size, sd, best, profile, None, held, 0.0, phase_unresolved, ambiguous)
+
+
+def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) -> HarmonicFit:
+    """The in-phase motion by all its phases, with the minor axis that it may have in the covariance."""
     best = profile.best
     covariance = windowed_covariance(best, frame_set, window_in_phase_transfer)
     selector = _motion_selector(frame_set, len(best.p), 3)
@@ -123,7 +134,7 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
             _cost_excess(best, time_reversed), selector @ (time_reversed.p - best.p), linear, vectors, covariance
         )
     held = np.zeros((6, 6))
-    steady = HarmonicFit(
+    return HarmonicFit(
         in_phase.value,
         covariance,
         size,
@@ -136,7 +147,6 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
         in_phase.phase_unresolved,
         ambiguous,
     )
-    return replace(steady, anisotropy_px2=one_sided)
 
 
 def _cost_excess(best: Solution, other: Solution) -> float:
