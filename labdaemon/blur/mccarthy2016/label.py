@@ -38,6 +38,7 @@ def label_darkness(
     (h, w); beyond the label's edge the darkness of the nearest label.
     """
     x, y = np.asarray(centre_px, dtype=np.float64) - np.asarray(patch.origin_px)
+    reach_px = min(reach_px, float(np.hypot(*patch.shape)))  # unknown is infinite, and rays end with the patch
     yy, xx = np.mgrid[0 : patch.shape[0], 0 : patch.shape[1]]
     distance, angle = np.hypot(xx - x, yy - y), np.mod(np.arctan2(yy - y, xx - x), 2 * np.pi)
     label = mask_pixels(patch, distance > reach_px - 1.0)

@@ -32,7 +32,13 @@ def photograph(size: int, centre: tuple[float, float], path: np.ndarray, seed: i
 
 
 def measure(
-    amplitude: float, angle: float, seed: int, *, radius: float = RADIUS, refine: bool = True
+    amplitude: float,
+    angle: float,
+    seed: int,
+    *,
+    radius: float = RADIUS,
+    refine: bool = True,
+    paper_px: float | None = None,
 ) -> tuple[Measurement, np.ndarray]:
     rng = np.random.default_rng(seed)
     small, large = int(2 * radius + 40) | 1, int(2 * (amplitude + radius) + 44) | 1
@@ -41,7 +47,7 @@ def measure(
     path = amplitude * np.array([np.cos(angle), np.sin(angle)])
     sharp = photograph(small, at, np.zeros(2), seed + 1, radius=radius)
     blurred = photograph(large, middle, path, seed + 2, radius=radius)
-    dot = Dot(at[0] + 300, at[1] + 200, radius, radius, 0.0, amplitude + radius + 20.0, "T01")
+    dot = Dot(at[0] + 300, at[1] + 200, radius, radius, 0.0, paper_px or amplitude + radius + 20.0, "T01")
     result = measure_mccarthy2016(sharp, dot, blurred, refine=refine)
     return result, np.array([middle[0] + 300, middle[1] + 200])
 
@@ -83,6 +89,11 @@ def test_the_largest_component_is_positive() -> None:
     for angle in (2.0, 3.0, 4.0, 5.5):
         a = measure(6.0, angle, seed=5)[0].a_px
         assert a[np.argmax(np.abs(a))] > 0.0
+
+
+def test_paper_of_unknown_extent_is_read_to_the_end_of_the_patch() -> None:
+    known, unknown = (measure(6.0, 0.3, 5, refine=False, paper_px=paper)[0] for paper in (None, float("inf")))
+    np.testing.assert_allclose(unknown.a_px, known.a_px, atol=0.5)
 
 
 def test_no_target_no_number() -> None:
