@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from labdaemon import errors as errors
+    from labdaemon import events as events
     from labdaemon import flags as flags
     from labdaemon.analysis import MotionTable as MotionTable
     from labdaemon.analysis import ProcessedFolder as ProcessedFolder
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from labdaemon.envelope import Envelope as Envelope
     from labdaemon.envelope import TargetEnvelope as TargetEnvelope
     from labdaemon.errors import LabdaemonError as LabdaemonError
+    from labdaemon.events import Event as Event
+    from labdaemon.events import parse_event as parse_event
     from labdaemon.flags import Flag as Flag
     from labdaemon.imaging.frame import RawFrame as RawFrame
     from labdaemon.stream.client import Client as Client
@@ -37,6 +40,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Client": "labdaemon.stream.client",
     "Envelope": "labdaemon.envelope",
+    "Event": "labdaemon.events",
     "Flag": "labdaemon.flags",
     "LabdaemonError": "labdaemon.errors",
     "Measurement": "labdaemon.blur",
@@ -47,6 +51,7 @@ _HOME = {
     "ExposureWindow": "labdaemon.blur",
     "frame_from_array": "labdaemon.analysis",
     "measure": "labdaemon.analysis",
+    "parse_event": "labdaemon.events",
     "process": "labdaemon.analysis",
     "read_frame": "labdaemon.analysis",
 }
@@ -55,6 +60,7 @@ _HOME = {
 __all__ = [
     "Client",
     "Envelope",
+    "Event",
     "ExposureWindow",
     "Flag",
     "LabdaemonError",
@@ -65,16 +71,18 @@ __all__ = [
     "TargetEnvelope",
     "__version__",
     "errors",
+    "events",
     "flags",
     "frame_from_array",
     "measure",
+    "parse_event",
     "process",
     "read_frame",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("errors", "flags"):
+    if name in ("errors", "events", "flags"):
         return import_module(f"labdaemon.{name}")
     if name in _HOME:
         value = getattr(import_module(_HOME[name]), name)

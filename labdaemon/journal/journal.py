@@ -35,7 +35,7 @@ CLOSE_S = 2.0
 
 
 class Transaction:
-    """What may be written together: rows and the events that tell of them.
+    """What may be written together: rows and the events that report them.
 
     Made by `Journal.transaction` only; unusable after it.
     """
@@ -50,11 +50,19 @@ class Transaction:
         return self._connection.execute(sql, _storable(values))
 
     def emit(self, kind: str, campaign: str | None, data: dict[str, Any]) -> int:
-        """Append an event and return its `seq`, one more than the last one's."""
+        """Append an event and return its `seq`, one more than the last one's.
+
+        Raises
+        ------
+        ValueError, TypeError
+            `data` is not JSON, NaN included.
+        """
+        return self.emit_json(kind, campaign, dump_json(data))
+
+    def emit_json(self, kind: str, campaign: str | None, data: str) -> int:
+        """The same with `data` as JSON already; it is stored and sent as it is."""
         self.last_seq += 1
-        self.execute(
-            "INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, dump_json(data)
-        )
+        self.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, data)
         return self.last_seq
 
 
@@ -125,12 +133,27 @@ class Journal:
 
     def history(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
         """As `recent`, over a connection of its own: for reading much, on any thread, while the loop reads little."""
+        with closing(self._own_reader()) as reader:
+            return self._texts(reader, seq, limit, most_bytes)
+
+    def latest(self) -> list[EventText]:
+        """The last event of each kind as it travels, ascending; for any thread, as `history`."""
+        # The index of campaigns and kinds answers the inner query without reading any payload.
+        sql = (
+            "SELECT seq, at, kind, campaign, data FROM events "
+            "WHERE seq IN (SELECT max(seq) FROM events GROUP BY kind) ORDER BY seq"
+        )
+        with closing(self._own_reader()) as reader:
+            try:
+                return [event_text(row, self.uuid) for row in reader.execute(sql)]
+            except sqlite3.Error as exc:
+                raise as_data_error(exc, self.path, is_read=True) from exc
+
+    def _own_reader(self) -> sqlite3.Connection:
         try:
-            reader = sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
+            return sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
         except sqlite3.Error as exc:
             raise as_data_error(exc, self.path) from exc
-        with closing(reader):
-            return self._texts(reader, seq, limit, most_bytes)
 
     def _texts(self, reader: sqlite3.Connection, seq: int, limit: int, most_bytes: int) -> list[EventText]:
         """Row by row, so that no more is read than is sent."""

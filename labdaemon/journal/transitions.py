@@ -10,9 +10,11 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from labdaemon.events import check_payload
 from labdaemon.journal.card_records import CardIdentity, ClockOffset, add_card_file, keep_offsets
 from labdaemon.journal.journal import Journal, Transaction
 from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
+from labdaemon.plain_json import dump_json
 
 MANUAL = "0000-manual"
 """Captures that a person or an outside system takes while no campaign runs."""
@@ -79,7 +81,7 @@ def move_campaign(
         if state == "running" and told is not None:
             kind = "campaign.resumed"
         write.execute("UPDATE campaigns SET state = ?, reason = ? WHERE id = ?", state, reason, campaign)
-        write.emit(kind, campaign, {**data, **({"reason": reason} if reason else {})})
+        _emit(write, kind, campaign, {**data, **({"reason": reason} if reason else {})})
     return True
 
 
@@ -95,7 +97,7 @@ def start_step(journal: Journal, campaign: str, step: int, data: Mapping[str, An
         row = write.execute("SELECT attempts FROM steps WHERE campaign = ? AND step = ?", campaign, step).fetchone()
         attempt = 1 + (row[0] if row else 0)
         write.execute("INSERT OR REPLACE INTO steps VALUES (?, ?, 'running', ?, NULL)", campaign, step, attempt)
-        write.emit("step.started", campaign, {"step": step, "attempt": attempt, **data})
+        _emit(write, "step.started", campaign, {"step": step, "attempt": attempt, **data})
     return attempt
 
 
@@ -112,7 +114,7 @@ def end_step(journal: Journal, campaign: str, step: int, data: Mapping[str, Any]
             state,
             skipped,
         )
-        write.emit(kind, campaign, {"step": step, **data, **({"reason": skipped} if skipped is not None else {})})
+        _emit(write, kind, campaign, {"step": step, **data, **({"reason": skipped} if skipped is not None else {})})
 
 
 def intend_capture(journal: Journal, capture: CaptureRecord) -> None:
@@ -245,7 +247,7 @@ def complete_capture(journal: Journal, campaign: str, name: str, data: Mapping[s
     """Every camera's frame is stored."""
     with journal.transaction("capture.completed") as write:
         write.execute("UPDATE captures SET state = 'stored' WHERE campaign = ? AND name = ?", campaign, name)
-        write.emit("capture.completed", campaign, {"capture": name, **data})
+        _emit(write, "capture.completed", campaign, {"capture": name, **data})
 
 
 def discard_capture(journal: Journal, campaign: str, name: str, reason: str, moved: Mapping[str, str]) -> None:
@@ -293,7 +295,7 @@ def record_result(
         )
         for member in members:
             write.execute("UPDATE captures SET state = 'measured' WHERE campaign = ? AND name = ?", campaign, member)
-        write.emit("envelope", campaign, dict(event))
+        _emit(write, "envelope", campaign, event)
     return True
 
 
@@ -313,13 +315,13 @@ def give_up_measuring(
                 member,
             )
         if not is_known:
-            write.emit("fault", campaign, dict(fault))
+            _emit(write, "fault", campaign, fault)
 
 
 def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> None:
     """Tell of a fault; `data` says on which device, what happened and what is done about it."""
     with journal.transaction("fault") as write:
-        write.emit("fault", campaign, dict(data))
+        _emit(write, "fault", campaign, data)
 
 
 def keep_stamp(journal: Journal, campaign: str, stamp: str) -> None:
@@ -332,6 +334,13 @@ def probe(journal: Journal) -> None:
     """Show that the journal can still be written, and nothing else."""
     with journal.transaction("probe") as write:
         write.execute("INSERT OR REPLACE INTO meta VALUES ('alive_at', ?)", write.at)
+
+
+def _emit(write: Transaction, kind: str, campaign: str | None, data: Mapping[str, Any]) -> None:
+    """Append an event that its model (`labdaemon.events`) accepts; the JSON is stored as it is."""
+    text = dump_json(dict(data))
+    check_payload(kind, text)
+    write.emit_json(kind, campaign, text)
 
 
 def _answer(write: Transaction, request_id: str | None, method: str, reply: Mapping[str, Any]) -> None:

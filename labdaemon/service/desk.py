@@ -25,6 +25,7 @@ METHODS = (
     "campaign.abort",
     "capture",
     "events.replay",
+    "events.latest",
     "stop",
 )
 

@@ -13,7 +13,7 @@ from labdaemon.off_loop import off_loop
 from labdaemon.service.capture_parameters import capture_request
 from labdaemon.service.parameters import Parameters
 from labdaemon.stream.commands import Handler
-from labdaemon.stream.events import replay
+from labdaemon.stream.events import latest, replay
 from labdaemon.tomlfile import MAX_BYTES
 
 MAX_ID = 200
@@ -78,6 +78,10 @@ def handlers(
         Parameters(params, "after", "limit")
         return await aside(replay, journal, params)
 
+    async def latest_events(params: dict[str, Any]) -> Any:
+        Parameters(params)
+        return await aside(latest, journal, params)
+
     return {
         "status": answer_status,
         "rig": answer_rig,
@@ -87,6 +91,7 @@ def handlers(
         "campaign.abort": abort,
         "capture": capture,
         "events.replay": replay_events,
+        "events.latest": latest_events,
         "stop": stop,
     }
 

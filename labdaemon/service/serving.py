@@ -37,7 +37,7 @@ from labdaemon.service.status import status_of
 from labdaemon.service.supervise import as_failure, supervise
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.commands import Handler
-from labdaemon.stream.events import EventPublisher, replay
+from labdaemon.stream.events import EventPublisher, latest, replay
 
 log = logging.getLogger(__name__)
 
@@ -159,7 +159,16 @@ def _early(
     async def replay_events(params: dict[str, Any]) -> Any:
         return await off_loop(replay, held.journal, params)
 
-    return {**start.handlers(), "status": status, "rig": rig, "events.replay": replay_events}
+    async def latest_events(params: dict[str, Any]) -> Any:
+        return await off_loop(latest, held.journal, params)
+
+    return {
+        **start.handlers(),
+        "status": status,
+        "rig": rig,
+        "events.replay": replay_events,
+        "events.latest": latest_events,
+    }
 
 
 async def _run_parts(

@@ -2,9 +2,11 @@
 
 >>> with Client() as lab:                                        # doctest: +SKIP
 ...     campaign = lab.call("campaign.submit", toml=text)["campaign"]
-...     for event in lab.events():
-...         if event["kind"] == "envelope":
-...             print(event["data"]["capture"], len(event["data"]["targets"]))
+...     for event in lab.typed_events():
+...         if event.kind == "envelope":
+...             print(event.data.capture, len(event.data.targets))
+
+`Client.events` gives the same events as dicts, as they were sent.
 """
 
 from __future__ import annotations
@@ -15,12 +17,15 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import zmq
 
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream import messages
+
+if TYPE_CHECKING:
+    from labdaemon.events import Event
 
 COMMANDS = "tcp://127.0.0.1:5570"
 EVENTS = "tcp://127.0.0.1:5571"
@@ -147,10 +152,29 @@ class Client:
         finally:
             stream.close()
 
+    def typed_events(self, *, after: int | None = None, timeout_s: float = SILENT_S) -> Iterator[Event]:
+        """The events of `events` as objects of `labdaemon.events`, statuses among them.
+
+        Raises
+        ------
+        NoDaemon, JournalChanged
+            As `events`.
+        DataError
+            An event is not what this version knows under its kind: the daemon is of another version.
+        """
+        from labdaemon.events import parse_event  # the models take longer to load than `labdaemon stop` may take
+
+        for event in self.events(after=after, timeout_s=timeout_s):
+            yield parse_event(event)
+
     def replay(self, after: int, limit: int = 1000) -> dict[str, Any]:
-        """``events.replay``: ``events``, ``last`` and ``journal``."""
+        """``events.replay``: ``events``, ``last`` and ``journal``; ``gone_before`` where history was cut."""
         answer: dict[str, Any] = self.call("events.replay", after=after, limit=limit)
         return answer
+
+    def latest(self) -> dict[str, dict[str, Any]]:
+        """``events.latest``: the last event of each kind that there was, by kind."""
+        return {event["kind"]: event for event in self.call("events.latest")["events"]}
 
     def subscribe(self) -> zmq.Socket[bytes]:
         """A raw subscription to everything; the caller closes it."""

@@ -35,7 +35,7 @@ Envelope = tuple[bytes, ...]
 IDEMPOTENT = frozenset({"campaign.submit", "capture"})
 """Commands that take a ``request_id``."""
 ALWAYS = frozenset({"stop"})
-LARGE = frozenset({"events.replay"})
+LARGE = frozenset({"events.replay", "events.latest"})
 """Commands whose answers may be megabytes."""
 MAX_IN_PROGRESS = 64
 MAX_OF_ONE = 16

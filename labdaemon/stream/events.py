@@ -60,6 +60,10 @@ class Outbox(Protocol):
         """The same from any thread, however long it takes, in nothing else's way."""
         ...
 
+    def latest(self) -> list[EventText]:
+        """The last committed event of each kind, ascending; from any thread, as `history`."""
+        ...
+
 
 class EventPublisher:
     """The events socket.
@@ -183,7 +187,7 @@ class EventPublisher:
         return self._socket
 
     def close(self) -> None:
-        """Deliver what is under way and give the address back."""
+        """Deliver what was sent and give the address back."""
         if self._socket is not None:
             self._socket.close()
         self._context.term()
@@ -202,8 +206,8 @@ def replay(outbox: Outbox, params: dict[str, Any]) -> RawJson:
     Returns
     -------
     RawJson
-        An object of ``events`` with a larger `seq`, ascending; ``last``, the journal's last `seq`; and ``journal``, its
-        UUID.
+        An object of ``events`` with a larger `seq`, ascending; ``last``, the journal's last `seq`; ``journal``, its
+        UUID; and ``gone_before``, the first `seq` that is left, where events after `after` were cut from the journal.
 
     Raises
     ------
@@ -217,5 +221,28 @@ def replay(outbox: Outbox, params: dict[str, Any]) -> RawJson:
     last = outbox.last_seq
     events = outbox.history(after, min(limit, MAX_REPLAY), MAX_REPLAY_BYTES) if limit else []
     last = max(last, events[-1].seq if events else 0)
-    tail = json.dumps({"last": last, "journal": outbox.uuid})[1:]
+    about: dict[str, Any] = {"last": last, "journal": outbox.uuid}
+    first_left = events[0].seq if events else last + 1
+    if limit and first_left > after + 1:
+        about["gone_before"] = first_left
+    return _answer(events, about)
+
+
+def latest(outbox: Outbox, params: dict[str, Any]) -> RawJson:
+    """Answer ``events.latest``: the last event of each kind. Reads the disk: call it off the event loop.
+
+    Returns
+    -------
+    RawJson
+        An object of ``events``, ascending by `seq`, at most one of each kind; ``last``, the journal's last `seq`; and
+        ``journal``, its UUID. A status is in no journal: ask ``status``.
+    """
+    events = outbox.latest()
+    last = max(outbox.last_seq, events[-1].seq if events else 0)
+    return _answer(events, {"last": last, "journal": outbox.uuid})
+
+
+def _answer(events: list[EventText], about: dict[str, Any]) -> RawJson:
+    """An object of ``events`` and the members of `about`; events stay the JSON that they are."""
+    tail = json.dumps(about)[1:]
     return RawJson(b'{"events": [' + b",".join(event.json for event in events) + b"], " + tail.encode())

@@ -56,7 +56,7 @@ def serve(tmp_path: Path):
 def test_every_method_of_the_contract_is_there():
     assert set(METHODS) == {
         "status", "rig", "campaign.submit", "campaign.pause", "campaign.resume", "campaign.abort", "capture",
-        "events.replay", "stop",
+        "events.replay", "events.latest", "stop",
     }  # fmt: skip
 
 
@@ -91,6 +91,8 @@ def test_status_follows_a_campaign(serve):
         replayed = json.loads((await ask("events.replay", after=0)).text)
         assert [event["seq"] for event in replayed["events"]] == list(range(1, lab.journal.last_seq + 1))
         assert replayed["journal"] == lab.journal.uuid
+        newest = {event["kind"]: event for event in json.loads((await ask("events.latest")).text)["events"]}
+        assert newest == {event["kind"]: event for event in replayed["events"]}
 
     serve(scenario)
 

@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError, StorageUnavailable
+from labdaemon.events import StepCompleted
 from labdaemon.journal.event import Event, EventText, within
 from labdaemon.stream import events as events_module
 from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon, RemoteError
 from labdaemon.stream.commands import CommandServer
-from labdaemon.stream.events import EventPublisher, replay
+from labdaemon.stream.events import EventPublisher, latest, replay
 from labdaemon.stream.messages import InvalidParams, RawJson
 
 
@@ -42,10 +43,13 @@ class ListOutbox:
 
     history = recent
 
+    def latest(self) -> list[EventText]:
+        return [event.text() for event in {event.kind: event for event in self.events}.values()]
+
     def add(self, count: int = 1, size: int = 0) -> None:
         for _ in range(count):
             seq = len(self.events) + 1
-            data = {"n": seq, "padding": "x" * size}
+            data = {"step": 0, "n": seq, "padding": "x" * size}
             self.events.append(Event(seq, "2026-05-04T10:11:12.000000Z", "step.completed", "c1", data, self.uuid))
 
 
@@ -63,7 +67,7 @@ class Service:
         self.publisher = EventPublisher(
             self._events, self.outbox, lambda: {"campaign": None, "state": "idle"}, SystemClock()
         )
-        self.server = CommandServer(self._commands, {"events.replay": self._replay})
+        self.server = CommandServer(self._commands, {"events.replay": self._replay, "events.latest": self._latest})
         self.publisher.bind()
         self.server.bind()
         self._ready.set()
@@ -77,6 +81,9 @@ class Service:
 
     async def _replay(self, params: dict[str, Any]) -> RawJson:
         return replay(self.outbox, params)
+
+    async def _latest(self, params: dict[str, Any]) -> RawJson:
+        return latest(self.outbox, params)
 
     def commit(self, count: int = 1, size: int = 0, *, silently: bool = False) -> None:
         """Add events; `silently` as if they were lost on the way to subscribers."""
@@ -146,7 +153,7 @@ def test_a_message_is_topic_and_json() -> None:
             "kind": "step.completed",
             "campaign": "c1",
             "journal": "journal-1",
-            "data": {"n": 4, "padding": ""},
+            "data": {"step": 0, "n": 4, "padding": ""},
         }
 
 
@@ -257,6 +264,29 @@ def test_replay_answers_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1 <= len(few) < 10
     outbox.add(1, size=5000)
     assert len(replay(outbox, {"after": 1500})["events"]) == 1
+
+
+def test_a_history_that_was_cut_says_where_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    outbox = ListOutbox(count=20)
+    kept = outbox.events[9:]
+    monkeypatch.setattr(
+        outbox, "history", lambda seq, limit, _: [event.text() for event in kept if event.seq > seq][:limit]
+    )
+    answer = json.loads(replay(outbox, {"after": 3, "limit": 2}).text)
+    assert ([event["seq"] for event in answer["events"]], answer["gone_before"]) == ([10, 11], 10)
+    assert "gone_before" not in json.loads(replay(outbox, {"after": 9}).text)
+    kept.clear()
+    answer = json.loads(replay(outbox, {"after": 3}).text)
+    assert (answer["events"], answer["gone_before"]) == ([], 21)
+
+
+def test_the_client_gives_typed_events_and_the_latest_of_each_kind() -> None:
+    with Service(ListOutbox(count=2)) as service, service.client() as client:
+        events = client.typed_events(after=0, timeout_s=20)
+        steps = [event for event, _ in zip(events, range(6), strict=False) if isinstance(event, StepCompleted)]
+        assert [event.seq for event in steps][:2] == [1, 2]
+        assert (steps[0].data.step, steps[0].campaign) == (0, "c1")
+        assert client.latest()["step.completed"]["seq"] == 2
 
 
 def test_a_client_that_asks_and_never_reads_harms_nobody() -> None:
