@@ -2,7 +2,7 @@
 
 A thread of its own reads all the time, so that a reading is never older than the record it belongs to. Amplitude is a
 least-squares sine fit over the latest record. A gauge that fell silent, repeats itself, is out of range or sends at
-another rate than told is an error, never a number.
+a rate that differs from its setting is an error, never a number.
 """
 
 from __future__ import annotations

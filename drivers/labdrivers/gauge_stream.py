@@ -38,7 +38,7 @@ class LineParser:
 
 
 class RecordParser:
-    """Readings in binary records of fixed size, each begun by a marker and, if told, ended by a checksum.
+    """Readings in binary records of fixed size, each begun by a marker and, if so set, ended by a checksum.
 
     Parameters
     ----------

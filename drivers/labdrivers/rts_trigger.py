@@ -3,7 +3,7 @@
 It needs no box, and knows next to nothing: no opening times, no excitation phase, no outside trigger, no enable line.
 Two things make it safe to use. Linux raises RTS for a moment whenever a port is opened, which fires the shutters; so an
 **arm switch** belongs in the cable, off while the daemon starts. And wired back to CTS or DSR (`arm_input`) the switch
-tells its position: then an armed cable at opening is refused, and a shot into an open switch is an error and not a
+reports its position: then an armed cable at opening is refused, and a shot into an open switch is an error and not a
 capture without files.
 """
 

@@ -14,12 +14,12 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, ClassVar
 
-from labdaemon.campaign.limits import crossed_amplitude, crossed_frequency
 from labdaemon.capture.devices import ShakerState
 from labdaemon.errors import ConfigError, DeviceError, DeviceRefused, LimitError, ProtocolError, TransportError
 from labdaemon.guardian.recipe import StopRecipe
 from labdrivers.drive_table import DriveTable, read_drive_csv
-from labdrivers.scpi_commands import DIALECTS, LEVELS, Commands
+from labdrivers.scpi_commands import DIALECTS, LEVELS, ScpiCommands
+from labdrivers.scpi_limits import check_excitation, check_level
 from labdrivers.scpi_link import ScpiLink
 from labdrivers.scpi_recipe import stop_recipe
 from labdrivers.scpi_settings import STOPPING, ShakerSettings
@@ -62,7 +62,7 @@ class ScpiShaker:
         self.name = name
         self._settings = read_settings(ShakerSettings, settings, key=name, ignore=frozenset({"driver"}))
         base = DIALECTS[self._settings.dialect].model_dump()
-        self._commands = read_settings(Commands, {**base, **self._settings.commands}, key=f"{name}.commands")
+        self._commands = read_settings(ScpiCommands, {**base, **self._settings.commands}, key=f"{name}.commands")
         if not self._commands.can_switch_off and not self._settings.enable_line:
             raise ConfigError(
                 "this controller has no output-off, so it may not run unattended without the amplifier's enable line; "
@@ -75,7 +75,7 @@ class ScpiShaker:
         self._trim, self._trim_at_hz = 1.0, 0.0
         self._halt = threading.Event()
         self._sent: tuple[float, float] | None = None
-        """Frequency and amplitude (Hz, mm) that went out last while the output was on; None when nobody knows."""
+        """Frequency and amplitude (Hz, mm) that went out last while the output was on; None while unknown."""
 
     @classmethod
     def for_stopping(cls, name: str, settings: Mapping[str, Any]) -> ScpiShaker:
@@ -116,7 +116,7 @@ class ScpiShaker:
         return bool(self._commands.get_amplifier)
 
     def connect(self) -> str:
-        """Open the wire and identify. Changes nothing on the controller: a moving table goes on moving."""
+        """Open the wire and identify. Changes nothing on the controller: a moving table continues."""
         self._line.open()
         self._sent = None
         try:
@@ -148,7 +148,7 @@ class ScpiShaker:
             self._trim, self._trim_at_hz = 1.0, 0.0
         now = self.state()
         if now.running and math.isnan(now.amplitude_mm):
-            self._switch_off()  # running at a frequency without calibration: nobody knows how far
+            self._switch_off()  # running at a frequency without calibration: its amplitude is unknown
             now = ShakerState(False, frequency_hz, 0.0)
         if now.running and not self._near(now.frequency_hz, frequency_hz):
             self._ramp(now, now.frequency_hz, self._lowest_mm(now.frequency_hz))
@@ -248,7 +248,7 @@ class ScpiShaker:
         self._link.tell_at_once(self._off_command)
 
     def _ramp_down(self) -> None:
-        """From what was sent last to the lowest level; nothing where nobody knows what that was.
+        """From what was sent last to the lowest level; nothing where that is unknown.
 
         Each level is followed by a question: a setting has no answer, and only an answer shows that the wire lives.
         """
@@ -334,7 +334,7 @@ class ScpiShaker:
         ):
             self._pass_gate()
             raise DeviceRefused(
-                f"told {frequency_hz:g} Hz, {asked_mm:.4g} mm, reports {now.frequency_hz:g} Hz, "
+                f"set to {frequency_hz:g} Hz, {asked_mm:.4g} mm, reports {now.frequency_hz:g} Hz, "
                 f"{now.amplitude_mm:.4g} mm, output {'on' if now.running else 'off'}; check its own limits",
                 device=self.name,
             )
@@ -347,7 +347,7 @@ class ScpiShaker:
         return abs(math.log(a_hz / b_hz)) <= math.log(self._settings.glide_ratio)
 
     def _per_mm(self, frequency_hz: float) -> float:
-        """Controller's level for one millimetre of the table; NaN where no calibration tells."""
+        """Controller's level for one millimetre of the table; NaN without a calibration at this frequency."""
         mm_per_v = 1.0
         if self._table is not None:
             try:
@@ -372,28 +372,13 @@ class ScpiShaker:
         LimitError
             It would; says what is possible.
         """
-        if not (math.isfinite(frequency_hz) and math.isfinite(amplitude_mm)) or frequency_hz <= 0 or amplitude_mm < 0:
-            raise LimitError(f"{frequency_hz} Hz at {amplitude_mm} mm is no excitation", key=self.name)
-        limits = self._settings.limits
-        crossed = crossed_frequency(limits, frequency_hz) or crossed_amplitude(limits, frequency_hz, amplitude_mm)
-        if crossed:
-            raise LimitError(crossed, key=f"{self.name}.limits")
+        check_excitation(self.name, self._settings, frequency_hz, amplitude_mm)
         if self._table is None:
             return
         trim = 1.0 if self._trims_elsewhere(frequency_hz) else self._trim
         level_v = amplitude_mm / (self._table.mm_per_v(frequency_hz) * trim)
-        if 0 < level_v < self._settings.lowest_level_v:
-            raise LimitError(
-                f"{amplitude_mm:g} mm at {frequency_hz:g} Hz needs {level_v:.2g} V, below the generator's "
-                f"{self._settings.lowest_level_v:g} V; at least {self._lowest_mm(frequency_hz):.2g} mm is possible",
-                key=f"{self.name}.lowest_level_v",
-            )
-        if level_v > self._settings.highest_level_v:
-            raise LimitError(
-                f"{amplitude_mm:g} mm at {frequency_hz:g} Hz needs {level_v:.3g} V, limit "
-                f"{self._settings.highest_level_v:g} V; lower the amplitude, or raise the gain and calibrate",
-                key=f"{self.name}.highest_level_v",
-            )
+        lowest_mm = self._lowest_mm(frequency_hz)
+        check_level(self.name, self._settings, frequency_hz, amplitude_mm, level_v=level_v, lowest_mm=lowest_mm)
 
     def _trims_elsewhere(self, frequency_hz: float) -> bool:
         """Whether the correction of the drive table was found at another frequency."""

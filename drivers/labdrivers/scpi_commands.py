@@ -38,7 +38,7 @@ LEVELS: dict[str, Callable[[float, float], float]] = {
 The bare volt is zero to peak too."""
 
 
-class Commands(Settings):
+class ScpiCommands(Settings):
     """Every line that the driver ever sends. An empty string means that the controller has no such command."""
 
     identify: str = "*IDN?"
@@ -85,10 +85,10 @@ class Commands(Settings):
         return bool(self.output_off)
 
 
-DIALECTS: dict[Dialect, Commands] = {
-    "keysight": Commands(),
+DIALECTS: dict[Dialect, ScpiCommands] = {
+    "keysight": ScpiCommands(),
     # No OUTPut subsystem at all: the lowest level is as much rest as it knows.
-    "33120a": Commands(
+    "33120a": ScpiCommands(
         setup=("*CLS", "FUNC:SHAP SIN", "VOLT:UNIT VPP", "VOLT:OFFS 0"), output_on="", output_off="", get_output=""
     ),
 }

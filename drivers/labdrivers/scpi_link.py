@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError
-from labdrivers.scpi_commands import Commands
+from labdrivers.scpi_commands import ScpiCommands
 from labdrivers.serial_line import SerialLine
 
 LONGEST_QUEUE = 30
@@ -36,7 +36,7 @@ class ScpiLink:
         The controller's spelling.
     """
 
-    def __init__(self, line: SerialLine, commands: Commands) -> None:
+    def __init__(self, line: SerialLine, commands: ScpiCommands) -> None:
         self._line, self._commands = line, commands
         self._lock = threading.RLock()
         self._dirty = False
@@ -91,7 +91,7 @@ class ScpiLink:
         Raises
         ------
         TransportError
-            Nobody answers.
+            The controller does not answer.
         ProtocolError
             What comes is no identity, or never the same.
         """

@@ -6,7 +6,7 @@ import re
 from importlib.metadata import entry_points
 
 from labdaemon.guardian.recipe import Exchange, PortSetup, StopRecipe
-from labdrivers.scpi_commands import Commands
+from labdrivers.scpi_commands import ScpiCommands
 from labdrivers.serial_line import URL_GROUP, PortSettings
 
 LONGEST_ANSWER_S = 3.0
@@ -16,7 +16,7 @@ ABOVE_LOWEST = 1.01
 
 
 def stop_recipe(
-    device: str, settings: PortSettings, commands: Commands, off: str, lowest_level: float
+    device: str, settings: PortSettings, commands: ScpiCommands, off: str, lowest_level: float
 ) -> StopRecipe | None:
     """The recipe, or None where another process cannot reach the port (a device simulated in this one).
 
@@ -55,7 +55,7 @@ def stop_recipe(
     )
 
 
-def _rest(commands: Commands, lowest_level: float, within_s: float) -> Exchange:
+def _rest(commands: ScpiCommands, lowest_level: float, within_s: float) -> Exchange:
     if commands.get_output:
         off = "|".join(re.escape(reply) for reply in commands.off_replies)
         return Exchange(_line(commands.get_output), off, None, within_s)

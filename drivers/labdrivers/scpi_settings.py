@@ -17,7 +17,7 @@ class ShakerSettings(PortSettings):
 
     dialect: Literal["keysight", "33120a"] = "keysight"
     commands: dict[str, Any] = Field(default_factory=dict)
-    """Overrides of the dialect, see `Commands`."""
+    """Overrides of the dialect, see `ScpiCommands`."""
     limits: ShakerLimits
     drive: tuple[DrivePoint, ...] = ()
     """Calibration, needed when levels are volts; a controller that takes millimetres or g does its own."""

@@ -7,7 +7,7 @@ is how a simulated device gets a URL without any driver knowing it.
 
 pyserial's habits that are taken care of here: opening flushes input, so there is no banner to wait for; a
 closed peer, a pulled adapter and an ioctl that a pty lacks come as `SerialException`, `OSError` or `termios.error`;
-Linux raises DTR and RTS on opening unless told otherwise beforehand; changing a port's timeout reconfigures it (over
+Linux raises DTR and RTS on opening unless both are set beforehand; changing a port's timeout reconfigures it (over
 the network with RFC 2217), so one short timeout is set at the start and deadlines are kept here.
 """
 

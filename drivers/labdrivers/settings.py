@@ -11,7 +11,7 @@ from labdaemon.errors import ConfigError
 
 
 class Settings(BaseModel):
-    """Base of all drivers' settings: frozen, and a key nobody knows is an error."""
+    """Base of all drivers' settings: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

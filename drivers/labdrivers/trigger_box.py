@@ -40,13 +40,13 @@ class TriggerSettings(PortSettings):
     opening_lag_s: float = Field(default=0.06, ge=0, lt=2)
     """From release to opening, until the first shot has measured it."""
     sd_opening_s: float = Field(default=2e-4, gt=0)
-    """How well the contact tells the opening: shutter curtain and contact, not the box's 10 µs."""
+    """Standard deviation of the opening by the contact: shutter curtain and contact, not the box's 10 µs."""
     hold_enable_ms: int = Field(default=1500, ge=100, le=5000)
     """How long one heartbeat holds the enable line."""
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class BoxShot:
     """What the box knows of one release; times in µs of its clock, None for what it has not seen."""
 
     number: int
@@ -101,7 +101,7 @@ class TriggerBox:
         Raises
         ------
         TransportError
-            The port does not open or nobody answers.
+            The port does not open or the box does not answer.
         ProtocolError
             Something else than a trigger box answers.
         """
@@ -195,7 +195,7 @@ class TriggerBox:
         Raises
         ------
         DeviceRefused
-            No sync edges although a phase was asked for, or a shot is under way.
+            No sync edges although a phase was asked for, or a shot is in progress.
         """
         if not 0 < exposure_s <= 3600:
             raise UsageError(f"an exposure of {exposure_s} s cannot be held")
@@ -230,7 +230,7 @@ class TriggerBox:
                 return None
             time.sleep(POLL_S)
 
-    def _await(self, number: int, patience_s: float) -> Shot | None:
+    def _await(self, number: int, patience_s: float) -> BoxShot | None:
         deadline = time.monotonic() + patience_s
         while True:
             shot = self._ask_shot(number)
@@ -238,7 +238,7 @@ class TriggerBox:
                 return shot
             time.sleep(POLL_S)
 
-    def _ask_shot(self, number: int) -> Shot | None:
+    def _ask_shot(self, number: int) -> BoxShot | None:
         try:
             words = self._exchange(f"SHOT {number}")
         except DeviceRefused as exc:
@@ -249,13 +249,13 @@ class TriggerBox:
             if len(words) != 6 + OUTPUTS or words[1] not in ("WAIT", "OPEN", "DONE"):
                 raise ValueError
             times = [None if word == "-" else int(word) for word in words[2:-1]]
-            return Shot(
+            return BoxShot(
                 int(words[0]), words[1], times[0], tuple(times[1 : 1 + OUTPUTS]), times[-2], times[-1], int(words[-1])
             )
         except ValueError:
             raise ProtocolError(f"describes a shot as {' '.join(words)!r}", device=self.name) from None
 
-    def _firing(self, shot: Shot, frequency_hz: float | None) -> Firing:
+    def _firing(self, shot: BoxShot, frequency_hz: float | None) -> Firing:
         """From the box's clock to the host's and to the excitation's phase."""
         if shot.release_us is None:
             raise ProtocolError("reports a shot without its release", device=self.name)

@@ -34,7 +34,7 @@ Request              Reply's values                                 Meaning
 Of a shot: STATE is WAIT, OPEN (released) or DONE; O1 to O4 the closing of each flash-sync contact; SYNC the last sync
 edge before the release, PERIOD the sync's period; ``-`` for what was not seen.
 A shot is DONE when all contacts have closed or two seconds have passed since the release. The box remembers eight.
-Errors: ``SYNTAX``, ``RANGE``, ``BUSY`` (a shot is under way), ``NOSYNC`` (no edge of the sync input within two
+Errors: ``SYNTAX``, ``RANGE``, ``BUSY`` (a shot is in progress), ``NOSYNC`` (no edge of the sync input within two
 seconds), ``UNKNOWN`` (no such shot).
 """
 

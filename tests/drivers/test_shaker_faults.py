@@ -24,12 +24,12 @@ ON_SET = {
     "hang_up": (TransportError, "lost"),
     "half_answer": (TransportError, "lost"),
     "output_stays_off": (DeviceRefused, "output off"),
-    "ignores_level": (DeviceRefused, "told 5 Hz, 1 mm, reports 5 Hz"),
+    "ignores_level": (DeviceRefused, "set to 5 Hz, 1 mm, reports 5 Hz"),
     "ignores_frequency": (DeviceRefused, "reports 1000 Hz"),
     "queue_full": (ProtocolError, "never empties.*overflow"),
     "refuses": (DeviceRefused, "Settings conflict"),
     "deaf": (DeviceRefused, "reports 1000 Hz"),
-    "wrong_value": (DeviceRefused, "told 5 Hz, 1 mm, reports 5 Hz, 1.5 mm"),
+    "wrong_value": (DeviceRefused, "set to 5 Hz, 1 mm, reports 5 Hz, 1.5 mm"),
 }
 ON_STOP = {
     "stuck_output": (DeviceRefused, "stays on"),

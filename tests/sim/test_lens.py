@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from labdrivers.sim.lens import Camera, Shift
+from labdrivers.sim.lens import CameraModel, Shift
 
 
-def a_camera() -> Camera:
-    return Camera.looking_at(
+def a_camera() -> CameraModel:
+    return CameraModel.looking_at(
         (0.0, 0.0, 380.0),
         (-420.0, -900.0, 450.0),
         image_size=(3900, 2613),

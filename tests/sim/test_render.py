@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labdrivers.sim.lens import Camera, FloatArray
+from labdrivers.sim.lens import CameraModel, FloatArray
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.render import render_frame
-from labdrivers.sim.scene import Occluder, Scene, Tag, Target
+from labdrivers.sim.scene import Occluder, Scene, SceneTag, SceneTarget
 from labdrivers.sim.sensor import Sensor
 
 PLAIN = Sensor(gains=(1.0, 1.0, 1.0), prnu=0.0, hot=0.0)
 
 
-def small_camera(size: tuple[int, int] = (161, 140)) -> Camera:
+def small_camera(size: tuple[int, int] = (161, 140)) -> CameraModel:
     middle = ((size[0] - 1) / 2 + 0.3, (size[1] - 1) / 2 - 0.2)
-    return Camera(size, (1968.8, 1968.8), middle, (-0.09, 0.07, 3e-4, -2e-4, 0.0), (0.0, -1000.0, 0.0))
+    return CameraModel(size, (1968.8, 1968.8), middle, (-0.09, 0.07, 3e-4, -2e-4, 0.0), (0.0, -1000.0, 0.0))
 
 
 def circle(t: FloatArray) -> FloatArray:
@@ -26,7 +26,7 @@ def circle(t: FloatArray) -> FloatArray:
 
 def test_agrees_with_brute_force() -> None:
     """Points thrown on every pixel at every moment, one by one through the lens, then blurred in space."""
-    target = Target("A", (0.3, 0.0, 0.2), 8.0, (60.0, 52.0))
+    target = SceneTarget("A", (0.3, 0.0, 0.2), 8.0, (60.0, 52.0))
     scene = Scene((target,), texture=0.0, gradient=(0.0, 0.0), vignetting=0.0, clutter=0)
     camera = small_camera()
     sigma = 1.1
@@ -61,7 +61,7 @@ def test_agrees_with_brute_force() -> None:
 
 
 def test_truth_in_the_image_is_the_projected_path() -> None:
-    scene = Scene((Target("A", (0.3, 0.0, 0.2)), Target("B", (20.0, 0.0, 0.0))), texture=0.0)
+    scene = Scene((SceneTarget("A", (0.3, 0.0, 0.2)), SceneTarget("B", (20.0, 0.0, 0.0))), texture=0.0)
     camera = small_camera()
     truth = render_frame(scene, camera, motions={"A": circle}, frequency_hz=3.0).truth
     image = camera.project(np.array([0.3, 0.0, 0.2]) + circle(np.linspace(0.0, 1.0, 3001)[:-1]))
@@ -73,7 +73,7 @@ def test_truth_in_the_image_is_the_projected_path() -> None:
 
 
 def test_a_part_cycle_moves_the_mean() -> None:
-    scene = Scene((Target("A", (0.0, 0.0, 0.0)),), texture=0.0)
+    scene = Scene((SceneTarget("A", (0.0, 0.0, 0.0)),), texture=0.0)
     truth = render_frame(
         scene, small_camera(), motions={"A": circle}, opened_s=0.02, exposure_s=0.4, frequency_hz=3.0, phase_rad=0.3
     ).truth["A"]
@@ -82,7 +82,7 @@ def test_a_part_cycle_moves_the_mean() -> None:
 
 
 def test_paper_grain_moves_with_the_paper_and_has_its_size() -> None:
-    label = Target("A", (0.0, 0.0, 0.0), 8.0, (60.0, 52.0))
+    label = SceneTarget("A", (0.0, 0.0, 0.0), 8.0, (60.0, 52.0))
     scene = Scene((label,), texture=0.02, texture_length_mm=1.5, gradient=(0.0, 0.0), vignetting=0.0)
     lens = Optics("gaussian", sigma_px=0.3)
     options = {"optics": lens, "sensor": PLAIN, "white_dn": 1000.0}
@@ -101,7 +101,9 @@ def test_paper_grain_moves_with_the_paper_and_has_its_size() -> None:
 
 
 def test_the_label_uncovers_what_is_behind_it() -> None:
-    scene = Scene((Target("A", (0.0, 0.0, 0.0), 6.0, (20.0, 20.0)),), clutter=0, gradient=(0.0, 0.0), vignetting=0.0)
+    scene = Scene(
+        (SceneTarget("A", (0.0, 0.0, 0.0), 6.0, (20.0, 20.0)),), clutter=0, gradient=(0.0, 0.0), vignetting=0.0
+    )
 
     def wide(t: FloatArray) -> FloatArray:
         return np.stack([8.0 * np.sin(2 * np.pi * 3 * t), 0 * t, 0 * t], axis=1)
@@ -114,7 +116,7 @@ def test_the_label_uncovers_what_is_behind_it() -> None:
 
 
 def test_occluders_shift_noise_and_tags() -> None:
-    scene = Scene((Target("A", (0.0, 0.0, 0.0)),), (Tag(3, (24.0, 0.0, 18.0), 16.0, 24.0),))
+    scene = Scene((SceneTarget("A", (0.0, 0.0, 0.0)),), (SceneTag(3, (24.0, 0.0, 18.0), 16.0, 24.0),))
     camera = small_camera()
     plain = render_frame(scene, camera, seed=1)
     again = render_frame(scene, camera, seed=1)

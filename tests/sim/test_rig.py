@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rawpy
 
-from labdrivers.sim.rig import Rig, render_exposure, render_job
+from labdrivers.sim.rig import RigModel, render_exposure, render_job
 from labdrivers.sim.spec import CameraSpec, RigSpec
 
 SMALL = CameraSpec(
@@ -21,12 +21,12 @@ SMALL = CameraSpec(
 )
 
 
-def level_for(rig: Rig, frequency_hz: float, amplitude_mm: float) -> float:
+def level_for(rig: RigModel, frequency_hz: float, amplitude_mm: float) -> float:
     return amplitude_mm / abs(rig.spec.table.response(frequency_hz))
 
 
 def test_every_dot_moves_measurably_at_all_three_modes_and_stays_on_its_paper() -> None:
-    rig = Rig()
+    rig = RigModel()
     for k, (frequency, amplitude) in enumerate(((5.0, 2.0), (8.0, 1.0), (12.0, 0.5))):
         rig.drive(200.0 * k, frequency_hz=frequency, level_v=level_for(rig, frequency, amplitude), running=True)
         truth = rig.truth(200.0 * k + 60.0, 1.0)
@@ -41,7 +41,7 @@ def test_every_dot_moves_measurably_at_all_three_modes_and_stays_on_its_paper() 
 
 
 def test_truth_is_the_motion_in_the_window() -> None:
-    rig = Rig()
+    rig = RigModel()
     rig.drive(0.0, frequency_hz=5.0, level_v=0.5, running=True)
     truth = rig.truth(45.07, 1.0)
     row = truth["targets"]["R12"]
@@ -56,7 +56,7 @@ def test_truth_is_the_motion_in_the_window() -> None:
 
 def test_stopping_and_dropping_the_enable_line_bring_the_table_to_rest() -> None:
     for stop in ("generator", "enable"):
-        rig = Rig()
+        rig = RigModel()
         assert not rig.moving(0.0)
         rig.drive(0.0, frequency_hz=5.0, level_v=0.5, running=True)
         assert rig.moving(5.0)
@@ -71,7 +71,7 @@ def test_stopping_and_dropping_the_enable_line_bring_the_table_to_rest() -> None
 
 
 def test_beyond_its_limits_the_amplifier_trips_until_told_to_stop() -> None:
-    rig = Rig()
+    rig = RigModel()
     rig.drive(0.0, frequency_hz=12.0, level_v=level_for(rig, 12.0, 20.0), running=True)
     assert rig.tripped is not None
     assert "velocity" in rig.tripped
@@ -85,7 +85,7 @@ def test_beyond_its_limits_the_amplifier_trips_until_told_to_stop() -> None:
 
 
 def test_ramping_in_small_steps_keeps_phase_and_stays_small() -> None:
-    rig = Rig()
+    rig = RigModel()
     for k in range(400):
         rig.drive(0.05 * k, frequency_hz=5.0, level_v=0.5 * min(1.0, k / 100), running=True)
     assert rig.excitation_phase(20.0) == pytest.approx(2 * np.pi * 5.0 * 20.0, abs=1e-6)
@@ -97,7 +97,7 @@ def test_ramping_in_small_steps_keeps_phase_and_stays_small() -> None:
 
 
 def test_accelerometer_reads_the_second_derivative() -> None:
-    rig = Rig()
+    rig = RigModel()
     rig.drive(0.0, frequency_hz=5.0, level_v=0.5, running=True)
     t = 50.0 + np.linspace(0.0, 1.0, 500, endpoint=False)
     ratio = np.ptp(rig.acceleration_m_s2(t)) / np.ptp(rig.response_mm(t))
@@ -106,7 +106,7 @@ def test_accelerometer_reads_the_second_derivative() -> None:
 
 def test_a_job_renders_the_same_file_anywhere() -> None:
     spec = RigSpec(cameras={"left": SMALL})
-    rig = Rig(spec)
+    rig = RigModel(spec)
     rig.drive(0.0, frequency_hz=5.0, level_v=0.5, running=True)
     job = rig.exposure_job("left", 30.0, 1.0, captured_at="2026:05:04 10:11:12")
     data = render_job(pickle.loads(pickle.dumps(job)))
@@ -119,7 +119,7 @@ def test_a_job_renders_the_same_file_anywhere() -> None:
 
 
 def test_exposure_time_sensitivity_and_aperture_change_the_light() -> None:
-    rig = Rig(RigSpec(cameras={"left": SMALL}))
+    rig = RigModel(RigSpec(cameras={"left": SMALL}))
     means = [
         render_exposure(rig.exposure_job("left", 0.0, s, iso=iso, f_number=f)).mean_dn.mean()
         for s, iso, f in ((1.0, 100, 32.0), (0.5, 100, 32.0), (0.5, 200, 32.0), (0.25, 100, 16.0))

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdrivers.sim.lens import Camera, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, Shift
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.path import Path, View, follow
-from labdrivers.sim.scene import Scene, Target
-from labdrivers.sim.smear import smear_target
+from labdrivers.sim.scene import Scene, SceneTarget
+from labdrivers.sim.smear import blur_target
 from labdrivers.sim.window import Window, develop, dwell_map
 
 FOCAL = 3934.4
@@ -21,17 +21,17 @@ LENS = Optics("gaussian", sigma_px=0.8)
 Motion = Callable[[FloatArray], FloatArray]
 
 
-def frontal(distortion: tuple[float, float, float, float, float] = (0.0,) * 5) -> Camera:
-    return Camera((3900, 2613), (FOCAL, FOCAL), (1950.3, 1306.7), distortion, (0.0, -1000.0, 0.0))
+def frontal(distortion: tuple[float, float, float, float, float] = (0.0,) * 5) -> CameraModel:
+    return CameraModel((3900, 2613), (FOCAL, FOCAL), (1950.3, 1306.7), distortion, (0.0, -1000.0, 0.0))
 
 
 def ink_moments(x_mm: float, z_mm: float, motion: Motion | None, fine: int = 4) -> FloatArray:
     """Area, centroid and central second moments (xx, yy, xy) of the dot's ink on the sensor, green."""
-    scene = Scene((Target("A", (x_mm, 0.0, z_mm)),), texture=0.0)
+    scene = Scene((SceneTarget("A", (x_mm, 0.0, z_mm)),), texture=0.0)
     view = View(frontal(), Shift())
     rest = np.array([x_mm, 0.0, z_mm])
     path = Path.at_rest(0.5) if motion is None else follow(view, rest, motion, (0.0, 1.0))
-    smear = smear_target(scene, 0, view, path, fine)
+    smear = blur_target(scene, 0, view, path, fine)
     assert smear is not None
     window = smear.ink.window
     ink = develop(smear.ink.spectra, window, LENS)[0][1].astype(float) / (scene.paper - scene.ink)
@@ -117,8 +117,8 @@ def test_a_label_may_stay_behind_its_dot() -> None:
     path = follow(view, rest, motion, (0.0, 1.0))
     images = {}
     for still in (False, True):
-        scene = Scene((Target("A", (0.0, 0.0, 0.0), 8.0, (40.0, 40.0)),), texture=0.0, still_paper=still)
-        smear = smear_target(scene, 0, view, path, 4)
+        scene = Scene((SceneTarget("A", (0.0, 0.0, 0.0), 8.0, (40.0, 40.0)),), texture=0.0, still_paper=still)
+        smear = blur_target(scene, 0, view, path, 4)
         assert smear is not None
         images[still] = [
             seen[1] for layer in (smear.paper, smear.ink) for seen in develop(layer.spectra, layer.window, LENS)

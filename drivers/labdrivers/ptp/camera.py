@@ -1,7 +1,7 @@
 """A camera on USB: the driver of the group ``labdaemon.cameras`` for bodies that speak PTP.
 
-Shots are fired by cable, so the body is never taken over (that would lock its own controls). Nothing is deleted unless
-told. After a fault, `connect` again: files that came meanwhile are still news.
+Shots are fired by cable, so the body is never taken over (that would lock its own controls). Nothing is deleted
+without a request. After a fault, `connect` again: files that came meanwhile are still news.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ class PtpCamera:
         DeviceRefused
             The camera has no such file any more.
         TransportError, ProtocolError
-            The transfer broke; call again after `connect` and it goes on.
+            The transfer broke; call again after `connect` and it is resumed.
         """
         with self._parsing():
             fetch(self._connected(), file, to)

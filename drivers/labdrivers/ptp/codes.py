@@ -1,11 +1,11 @@
-"""Numbers of the Picture Transfer Protocol (ISO 15740) and of Nikon's additions, as far as they are used here."""
+"""Numbers of PTP (ISO 15740) and of Nikon's additions, as far as they are used here."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
 
-class Kind(IntEnum):
+class ContainerKind(IntEnum):
     """Container types."""
 
     COMMAND = 1

@@ -1,4 +1,4 @@
-"""What a camera tells unasked: read on a thread of its own, because some bodies answer nothing else until it is read.
+"""What a camera reports unasked: read on a thread of its own, because some bodies answer nothing else until it is read.
 
 Only news of files is kept. Floods of property changes are read and dropped, so that they never delay a file.
 """
@@ -10,7 +10,7 @@ import struct
 import threading
 
 from labdaemon.errors import DeviceError, TransportError
-from labdrivers.ptp.codes import EventCode, Kind
+from labdrivers.ptp.codes import ContainerKind, EventCode
 from labdrivers.ptp.container import BadContainer, read_header, unpack_parameters
 from labdrivers.ptp.transport import UsbPipe
 
@@ -76,7 +76,7 @@ class EventListener:
                 header = read_header(data)
             except BadContainer:
                 return bytearray()  # out of step: wait for the next packet, which starts an event
-            if header.kind != Kind.EVENT or header.length > 64:
+            if header.kind != ContainerKind.EVENT or header.length > 64:
                 return bytearray()
             if len(data) < header.length:
                 return data

@@ -49,14 +49,14 @@ def open_camera(name: str, serial: str, backend: Any, *, timeout_s: float) -> tu
     TransportError
         It is not on the bus (the message lists which are), or is held by another program.
     """
-    told = [(device, _descriptor_serial(device)) for device in _cameras(name, backend)]
-    for device, own in told:
+    cameras = [(device, _descriptor_serial(device)) for device in _cameras(name, backend)]
+    for device, own in cameras:
         if own is not None and _same(own, serial):
             return _open(name, device, timeout_s)
-    seen = [f"one with serial number {own}" for _, own in told if own is not None]
+    seen = [f"one with serial number {own}" for _, own in cameras if own is not None]
     held: DeviceError | None = None
     with _PROBING:
-        for device in (device for device, own in told if own is None):
+        for device in (device for device, own in cameras if own is None):
             try:
                 pipe, session = _open(name, device, timeout_s)
             except DeviceError as exc:

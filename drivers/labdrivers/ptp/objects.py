@@ -1,4 +1,4 @@
-"""Files on a camera: listing, describing, and fetching them so that a broken transfer goes on where it broke."""
+"""Files on a camera: listing, describing, and fetching them so that a broken transfer is resumed where it broke."""
 
 from __future__ import annotations
 

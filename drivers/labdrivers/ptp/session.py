@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError
-from labdrivers.ptp.codes import MEANINGS, Kind, Op, Response
+from labdrivers.ptp.codes import MEANINGS, ContainerKind, Op, Response
 from labdrivers.ptp.container import BadContainer, pack, pack_parameters, unpack_parameters
 from labdrivers.ptp.datasets import DeviceInfo
 from labdrivers.ptp.transport import UsbPipe
@@ -23,7 +23,7 @@ STALE_CONTAINERS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class PtpReply:
     """What came back of a transaction."""
 
     code: int
@@ -109,7 +109,9 @@ class PtpSession:
                 with suppress(DeviceError):
                     self._transact(Op.CLOSE_SESSION, (), None, min(self._timeout_s, 2.0))
 
-    def call(self, operation: int, *parameters: int, data_out: bytes | None = None, patience_s: float = 0.0) -> Reply:
+    def call(
+        self, operation: int, *parameters: int, data_out: bytes | None = None, patience_s: float = 0.0
+    ) -> PtpReply:
         """One transaction that must end with OK; a busy camera is waited for.
 
         Parameters
@@ -156,30 +158,34 @@ class PtpSession:
                 return
             time.sleep(BUSY_POLL_S)
 
-    def _transact(self, operation: int, parameters: tuple[int, ...], data_out: bytes | None, timeout_s: float) -> Reply:
+    def _transact(
+        self, operation: int, parameters: tuple[int, ...], data_out: bytes | None, timeout_s: float
+    ) -> PtpReply:
         transaction = self._next_transaction
         self._next_transaction = (transaction + 1) % 0xFFFFFFFF
         deadline = time.monotonic() + timeout_s
         try:
-            self._pipe.send(pack(Kind.COMMAND, operation, transaction, pack_parameters(*parameters)), timeout_s)
+            self._pipe.send(
+                pack(ContainerKind.COMMAND, operation, transaction, pack_parameters(*parameters)), timeout_s
+            )
             if data_out is not None:
-                self._pipe.send(pack(Kind.DATA, operation, transaction, data_out), timeout_s)
+                self._pipe.send(pack(ContainerKind.DATA, operation, transaction, data_out), timeout_s)
             return self._answer(operation, transaction, deadline)
         except (TransportError, ProtocolError):
             with suppress(DeviceError):
                 self._pipe.cancel(transaction, min(timeout_s, 2.0))
             raise
 
-    def _answer(self, operation: int, transaction: int, deadline: float) -> Reply:
+    def _answer(self, operation: int, transaction: int, deadline: float) -> PtpReply:
         data = b""
         for count in range(STALE_CONTAINERS):
             header, payload = self._pipe.receive(deadline, first=count == 0)
-            if header.transaction != transaction or (header.kind == Kind.DATA and header.code != operation):
+            if header.transaction != transaction or (header.kind == ContainerKind.DATA and header.code != operation):
                 continue  # left over from a transaction that was given up
-            if header.kind == Kind.DATA:
+            if header.kind == ContainerKind.DATA:
                 data = payload
-            elif header.kind == Kind.RESPONSE:
-                return Reply(header.code, unpack_parameters(payload), data)
+            elif header.kind == ContainerKind.RESPONSE:
+                return PtpReply(header.code, unpack_parameters(payload), data)
         raise ProtocolError("answers other transactions than the one asked; reset the camera", device=self.device)
 
     def _refusal(self, operation: int, code: int) -> PtpRefused:

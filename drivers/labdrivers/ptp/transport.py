@@ -1,7 +1,7 @@
 """The only place that knows pyusb: containers over a still-image interface's endpoints, with deadlines.
 
-Read sizes are multiples of the packet size and never reach past the container under way, so that a header sent apart
-from its data, a zero-length packet that comes late and a response glued to its data are all told apart.
+Read sizes are multiples of the packet size and never reach past the current container, so that a header sent apart
+from its data, a zero-length packet that comes late and a response glued to its data are all distinguished.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import usb.core
 import usb.util
 
 from labdaemon.errors import ProtocolError, TransportError
-from labdrivers.ptp.codes import Kind
+from labdrivers.ptp.codes import ContainerKind
 from labdrivers.ptp.container import HEADER, UNKNOWN_LENGTH, BadContainer, Header, read_header
 
 STILL_IMAGE = 6
@@ -76,7 +76,7 @@ class UsbPipe:
 
     def send(self, container: bytes, timeout_s: float) -> None:
         """Write one container, ended by a zero-length packet where its size is a multiple of the packet's."""
-        with self._faults("being told"):
+        with self._faults("receiving"):
             for last in (False, True):
                 try:
                     self._out.write(container, _ms(timeout_s))
@@ -113,7 +113,7 @@ class UsbPipe:
             header = read_header(data)
         except BadContainer as exc:
             raise ProtocolError(f"sent no container: {exc}; reset the camera", device=self.device) from None
-        if header.length == UNKNOWN_LENGTH and header.kind == Kind.DATA:
+        if header.length == UNKNOWN_LENGTH and header.kind == ContainerKind.DATA:
             self._read_to_short(data, deadline)
         elif header.length > BIGGEST_CONTAINER:
             raise ProtocolError(f"announces a container of {header.length} bytes; reset the camera", device=self.device)

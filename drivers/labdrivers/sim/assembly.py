@@ -1,6 +1,6 @@
 """The simulated laboratory put together: one rig, and on its wires a generator, a trigger box, gauges and cameras.
 
-What the shaker's generator is told moves the rig; the trigger box releases the cameras by cable; what they saw lands on
+The shaker's generator moves the rig; the trigger box releases the cameras by cable; what they saw lands on
 their cards. `default_rig` is the one that ``sim://`` ports and the ``sim`` USB backend of a process share.
 """
 
@@ -17,7 +17,7 @@ from labdrivers.sim.gauge_device import GaugeDevice
 from labdrivers.sim.ptp_card import Card
 from labdrivers.sim.ptp_device import PtpBody
 from labdrivers.sim.render_pool import RenderPool
-from labdrivers.sim.rig import Rig
+from labdrivers.sim.rig import RigModel
 from labdrivers.sim.scpi_device import ScpiDevice
 from labdrivers.sim.shutter_cable import ShutterCable
 from labdrivers.sim.spec import RigSpec
@@ -36,7 +36,7 @@ class TableWires:
         Whether the box's enable line goes to the amplifier; if not, the amplifier is always enabled.
     """
 
-    def __init__(self, rig: Rig, clock: Callable[[], float], *, enable_wired: bool) -> None:
+    def __init__(self, rig: RigModel, clock: Callable[[], float], *, enable_wired: bool) -> None:
         self._rig, self._clock, self._wired = rig, clock, enable_wired
         self._offset_rad = 0.0
 
@@ -66,7 +66,7 @@ class TableWires:
 class RigCamera:
     """What one camera of the rig has before its lens."""
 
-    def __init__(self, rig: Rig, name: str, pool: RenderPool) -> None:
+    def __init__(self, rig: RigModel, name: str, pool: RenderPool) -> None:
         self._rig, self._name, self._pool = rig, name, pool
         self.lag_s = rig.spec.cameras[name].opening_lag_s
 
@@ -100,7 +100,7 @@ class SimulatedRig:
 
     def __init__(self, spec: RigSpec | None = None, *, cards: Path | None = None, enable_wired: bool = True) -> None:
         self.clock = time.monotonic
-        self.rig = Rig(spec)
+        self.rig = RigModel(spec)
         self._pool = RenderPool()
         table = TableWires(self.rig, self.clock, enable_wired=enable_wired)
         self.bus = SimulatedBus()

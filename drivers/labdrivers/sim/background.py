@@ -88,12 +88,12 @@ def far_wall(seed: int, count: int, view: View, width: int, height: int) -> NDAr
     straight = replace(view.camera, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
     seen = View(straight, view.shift).project(wall)
     there = cv2.getPerspectiveTransform(corners, ((seen - 0.5) / HALF).astype(np.float32))
-    picture = np.asarray(
+    image = np.asarray(
         cv2.warpPerspective(drawn, there, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT),
         np.uint8,
     )
-    picture.flags.writeable = False
-    return picture
+    image.flags.writeable = False
+    return image
 
 
 def backdrop(

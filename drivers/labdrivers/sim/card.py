@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labdrivers.sim.lens import FloatArray
 from labdrivers.sim.path import View
-from labdrivers.sim.scene import Scene, Tag
+from labdrivers.sim.scene import Scene, SceneTag
 from labdrivers.sim.sensor import FloatImage
 from labdrivers.sim.window import Window
 
@@ -88,7 +88,7 @@ def tag_modules(number: int) -> NDArray[np.float64]:
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, number, 8) < 128, float)
 
 
-def tag_coverage(tag: Tag, u: FloatArray, v: FloatArray) -> FloatArray:
+def tag_coverage(tag: SceneTag, u: FloatArray, v: FloatArray) -> FloatArray:
     """Fraction of each fine cell that is black."""
     cell_u, cell_v = cell_size(u, v)
     module = tag.size_mm / 8.0
@@ -105,14 +105,14 @@ def tag_coverage(tag: Tag, u: FloatArray, v: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def texture(seed: int, extent_mm: tuple[float, float], length_mm: float) -> tuple[FloatImage, float]:
-    """A card's own grain: unit variance, Gaussian correlation exp(-r²/(2 length²)); and its cell, mm."""
+    """A card's paper texture noise: unit variance, Gaussian correlation exp(-r²/(2 length²)); and its cell, mm."""
     cell = length_mm / 3.0
     columns, rows = (int(np.ceil(side * 1.1 / cell)) for side in extent_mm)
     rng = np.random.default_rng([seed, 21])
     sigma = length_mm / np.sqrt(2.0) / cell
-    grain = cv2.GaussianBlur(rng.standard_normal((rows, columns), dtype=np.float32), (0, 0), sigma)
+    noise = cv2.GaussianBlur(rng.standard_normal((rows, columns), dtype=np.float32), (0, 0), sigma)
     # white noise smoothed by a Gaussian of sigma cells keeps a variance of 1/(4 pi sigma²)
-    return np.asarray(grain * np.float32(np.sqrt(4.0 * np.pi) * sigma)), cell
+    return np.asarray(noise * np.float32(np.sqrt(4.0 * np.pi) * sigma)), cell
 
 
 def grain_at(scene: Scene, card: int, extent_mm: tuple[float, float], u: FloatArray, v: FloatArray) -> FloatImage:

@@ -1,4 +1,4 @@
-"""The simulator's back door for tests and demo: its truth, its faults, its plugs. A daemon is never told of it."""
+"""The simulator's back door for tests and demo: its truth, its faults, its plugs. A daemon never uses it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labdrivers.sim import messages
 from labdrivers.sim.assembly import SimulatedRig
 
 
-class Control:
+class ControlCommands:
     """Answers questions about a simulated rig.
 
     Parameters
@@ -89,9 +89,9 @@ class Control:
 
 
 class ControlServer:
-    """Offers a `Control` over TCP, one message each way a request."""
+    """Offers a `ControlCommands` over TCP, one message each way a request."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: ControlCommands) -> None:
         class Handler(socketserver.BaseRequestHandler):
             def handle(self) -> None:
                 while True:

@@ -1,4 +1,4 @@
-"""Writes a data-set folder as a campaign would have left it, with the truth beside it: for tests and first tries."""
+"""Writes a data-set folder as a campaign would have left it, together with the truth: for tests and first tries."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from labdrivers.sim.dng import write_dng
 from labdrivers.sim.lamp import LampPlay, play_code
 from labdrivers.sim.layout import Layout, make_layout
-from labdrivers.sim.lens import Camera, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, Shift
 from labdrivers.sim.motions import Harmonic, random_motions
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.render import render_frame
@@ -108,13 +108,13 @@ def make_folder(
     paper_mm
         Side of the labels; by default so large that their own smeared edges stay clear of the dots' smears.
     texture, texture_length_mm, still_paper, gradient
-        Paper grain; labels that do not move with their dots; slope of the light (see `Scene`).
+        Relative sd of the paper texture; labels that do not move with their dots; slope of the light (see `Scene`).
     read_noise_e
         Of the sensor, electrons.
     gaussian_optics, nef, pattern
         Gaussian lens blur in place of diffraction; the D80's compression; colour mosaic.
     survey_sd_mm
-        Error of the surveyed control points, as stated beside them.
+        Error of the surveyed control points, as stated in their file.
     distance_mm
         From cameras to targets.
     approximate_places
@@ -267,7 +267,7 @@ def _shift(rng: np.random.Generator, size_px: float) -> Shift:
     return Shift(size_px * float(np.cos(angle)), size_px * float(np.sin(angle)), 2e-5 * size_px)
 
 
-def _cables(scene: Scene, camera: Camera, rng: np.random.Generator, count: int) -> tuple[Occluder, ...]:
+def _cables(scene: Scene, camera: CameraModel, rng: np.random.Generator, count: int) -> tuple[Occluder, ...]:
     chosen = rng.permutation(len(scene.targets))[:count]
     hung = []
     for index in chosen:

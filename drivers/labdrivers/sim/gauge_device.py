@@ -78,7 +78,7 @@ class GaugeDevice(WireDevice):
         self._listening.set()
 
     def detached(self) -> None:
-        """Nobody does."""
+        """The port was closed: stop streaming."""
         self._listening.clear()
 
     def receive(self, data: bytes) -> None:

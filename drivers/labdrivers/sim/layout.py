@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labdrivers.sim.lens import Camera
-from labdrivers.sim.scene import Panel, Scene, Tag, Target
+from labdrivers.sim.lens import CameraModel
+from labdrivers.sim.scene import Panel, Scene, SceneTag, SceneTarget
 
 SIZES = {"small": ((1936, 1296), 12.2), "d80": ((3900, 2613), 6.1)}
 """Frame size and pixel pitch (µm): a D80's area, whole or binned by two."""
@@ -35,7 +35,7 @@ class Layout:
     """
 
     scene: Scene
-    cameras: dict[str, Camera]
+    cameras: dict[str, CameraModel]
     pitch_um: float
 
 
@@ -94,20 +94,20 @@ def make_layout(
         room = f"{pitch_x:.0f} x {pitch_z:.0f} mm"
         raise ValueError(f"{targets} labels of {paper_mm:.0f} mm do not fit: each has {room}; fewer, or farther away")
     depth = np.zeros(columns) if cameras == 1 else rng.uniform(-60.0, 60.0, columns)
-    dots: list[Target] = []
+    dots: list[SceneTarget] = []
     for k in range(targets):
         row, column = divmod(k, columns)
         x = (column - 0.5 * (columns - 1)) * pitch_x
         z = MIDDLE_Z_MM + ((rows - 1) * 0.5 - row) * pitch_z
         name = f"{chr(ord('A') + row % 26)}{column:02d}"
         place = (round(x, 3), round(float(depth[column]), 3), round(z, 3))
-        dots.append(Target(name, place, diameters_mm[k % len(diameters_mm)], (paper_mm, paper_mm)))
+        dots.append(SceneTarget(name, place, diameters_mm[k % len(diameters_mm)], (paper_mm, paper_mm)))
     across, up = scale * (0.5 * FIELD_X_MM + 85.0), scale * 0.5 * FIELD_Z_MM
     spots = [(-across, -0.9 * up), (-across, 0.0), (-across, 0.9 * up), (across, -0.9 * up), (across, 0.0)]
     spots.append((across, 0.9 * up))
     flat = cameras == 1
     tags = tuple(
-        Tag(
+        SceneTag(
             number,
             (
                 round(x + float(rng.uniform(-4, 4)), 3),
@@ -141,7 +141,7 @@ def make_layout(
         focal = FOCAL_MM * 1e3 / pixel_um * float(rng.uniform(0.99, 1.01))
         middle = rng.uniform(-8.0, 8.0, 2) + (np.array(image_size) - 1.0) / 2.0
         aim = (float(rng.uniform(-8, 8)), 0.0, MIDDLE_Z_MM + float(rng.uniform(-8, 8)))
-        seen[name] = Camera.looking_at(
+        seen[name] = CameraModel.looking_at(
             aim,
             places[name],
             image_size=image_size,

@@ -12,7 +12,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class CameraModel:
     """A camera body with its lens, somewhere in the lab.
 
     Attributes
@@ -49,7 +49,7 @@ class Camera:
         principal_point_px: tuple[float, float],
         distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         roll_rad: float = 0.0,
-    ) -> Camera:
+    ) -> CameraModel:
         """A camera at `position_mm` that aims at `target_mm`, level with the horizon but for `roll_rad`."""
         position, aim = np.asarray(position_mm, float), np.asarray(target_mm, float)
         forward = (aim - position) / np.linalg.norm(aim - position)

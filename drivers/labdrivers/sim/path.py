@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labdrivers.sim.lens import Camera, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, Shift
 
 STEP_PX = 0.05
 """Moments of the exposure lie no farther apart than this along the path."""
@@ -22,7 +22,7 @@ CODED_MOMENTS, MOMENT_PARTS = 6_000, 16
 class View:
     """A camera as it stood for one frame."""
 
-    camera: Camera
+    camera: CameraModel
     shift: Shift
 
     def project(self, points_mm: FloatArray) -> FloatArray:

@@ -26,8 +26,8 @@ FAULTS = {
     "no_card": "has no card: a cable shot fails silently",
     "low_battery": "reports `value` percent of battery (default 3)",
     "busy": "answers busy, for ever",
-    "lost_event": "tells of no new file, neither way",
-    "no_interrupt": "tells of new files only when asked",
+    "lost_event": "reports no new file, neither way",
+    "no_interrupt": "reports new files only when asked",
     "no_get_event": "answers nothing to Nikon's GetEvent",
     "event_flood": "sends `value` property-change events (default 200) before each other event",
     "setting_ignored": "accepts a setting and does not take it",
@@ -371,9 +371,9 @@ class PtpBody:
         if self.faults.is_on("no_get_event"):
             return struct.pack("<H", 0)
         with self._lock:
-            told = list(self._told)
+            reported = list(self._told)
             self._told.clear()
-        return struct.pack("<H", len(told)) + b"".join(struct.pack("<HI", *event) for event in told)
+        return struct.pack("<H", len(reported)) + b"".join(struct.pack("<HI", *event) for event in reported)
 
 
 def _object_info(item: CardObject, size_bytes: int) -> bytes:

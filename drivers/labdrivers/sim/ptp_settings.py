@@ -103,7 +103,7 @@ class BodySettings:
 
     @property
     def exposure_s(self) -> float:
-        """True time the shutter stays open; bulb counts as a second here, nobody holds the cable longer."""
+        """True time the shutter stays open; bulb counts as a second here, no cable is held longer."""
         raw = self._table[Prop.NIKON_SHUTTER].value
         return 1.0 if raw == BULB else true_seconds(raw)
 

@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 
 from labdrivers.sim.background import HALF, backdrop
-from labdrivers.sim.lens import Camera, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, Shift
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.path import MAX_MOMENTS, Path, View, follow, moments
 from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
 from labdrivers.sim.sensor import FloatImage, Sensor
-from labdrivers.sim.smear import Smear, smear_tag, smear_target
+from labdrivers.sim.smear import CardSpectra, blur_tag, blur_target
 from labdrivers.sim.window import FINE, Window, develop
 
 Motion = Callable[[FloatArray], FloatArray]
@@ -29,7 +29,7 @@ Motion = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rendering:
+class RenderedFrame:
     """A frame and what really happened in it.
 
     Attributes
@@ -49,7 +49,7 @@ class Rendering:
 
 def render_frame(
     scene: Scene | dict[str, Any],
-    camera: Camera | dict[str, Any],
+    camera: CameraModel | dict[str, Any],
     *,
     motions: Mapping[str, Motion] | None = None,
     panel_motion: Motion | None = None,
@@ -65,7 +65,7 @@ def render_frame(
     occluders: tuple[Occluder, ...] = (),
     seed: int = 0,
     fine: int = FINE,
-) -> Rendering:
+) -> RenderedFrame:
     """Expose one frame.
 
     Every argument that is a class of this package may also be a plain mapping of its attributes.
@@ -101,11 +101,11 @@ def render_frame(
 
     Returns
     -------
-    Rendering
+    RenderedFrame
         The mosaic and each target's truth.
     """
     scene = Scene.of(scene)
-    camera = camera if isinstance(camera, Camera) else Camera(**camera)
+    camera = camera if isinstance(camera, CameraModel) else CameraModel(**camera)
     shift = shift if isinstance(shift, Shift) else Shift(*(shift or ()))
     optics = optics if isinstance(optics, Optics) else Optics(**(optics or {}))
     sensor = sensor if isinstance(sensor, Sensor) else Sensor(**(sensor or {}))
@@ -124,15 +124,15 @@ def render_frame(
             else Path.at_rest(opened_s + 0.5 * exposure_s)
         )
         truth[target.name] = _truth(target.name, rest, view, path, opened_s, frequency_hz, phase_rad)
-        smear = smear_target(scene, index, view, path, fine)
-        _composite(planes, None if smear is None else _develop(smear, optics), sensor)
+        smear = blur_target(scene, index, view, path, fine)
+        _composite(planes, None if smear is None else _image_card(smear, optics), sensor)
     mean_dn = _interleave(planes, camera.image_size)
     for occluder in occluders:
         _occlude(mean_dn, occluder)
     mean_dn *= _light(scene.gradient, scene.vignetting, camera.image_size)
     mean_dn *= np.float32(white_dn / scene.paper * _mean_light(brightness, opened_s, exposure_s))
     _colour(mean_dn, sensor)
-    return Rendering(sensor.expose(mean_dn, seed), truth, mean_dn)
+    return RenderedFrame(sensor.expose(mean_dn, seed), truth, mean_dn)
 
 
 def _mean_light(brightness: Callable[[FloatArray], FloatArray] | None, opened_s: float, exposure_s: float) -> float:
@@ -157,14 +157,14 @@ def _planes(reflectance: FloatImage, sensor: Sensor, image_size: tuple[int, int]
 
 
 @lru_cache(maxsize=512)
-def _still_tag(scene: Scene, index: int, view: View, fine: int, optics: Optics) -> Developed | None:
+def _still_tag(scene: Scene, index: int, view: View, fine: int, optics: Optics) -> CardImages | None:
     """Control targets do not move: they look the same in every frame of a camera that stands still."""
-    smear = smear_tag(scene, index, view, fine)
-    return None if smear is None else _develop(smear, optics)
+    smear = blur_tag(scene, index, view, fine)
+    return None if smear is None else _image_card(smear, optics)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Developed:
+class CardImages:
     """A card seen through the lens: images of each colour in their windows."""
 
     paper_window: Window
@@ -174,14 +174,14 @@ class Developed:
     taken: list[FloatImage]
 
 
-def _develop(smear: Smear, optics: Optics) -> Developed:
+def _image_card(smear: CardSpectra, optics: Optics) -> CardImages:
     paper, ink = smear.paper, smear.ink
     white, cover = develop(paper.spectra, paper.window, optics)
     (taken,) = develop(ink.spectra, ink.window, optics)
-    return Developed(paper.window, white, cover, ink.window, taken)
+    return CardImages(paper.window, white, cover, ink.window, taken)
 
 
-def _composite(planes: Planes, card: Developed | None, sensor: Sensor) -> None:
+def _composite(planes: Planes, card: CardImages | None, sensor: Sensor) -> None:
     """Put a card in front of what is there: its own light, and the rest dimmed by the time it was hidden."""
     if card is None:
         return

@@ -1,4 +1,4 @@
-"""Rendering beside the simulation: a frame takes seconds of arithmetic and must not stop the wires.
+"""Renders in other processes than the simulation's: a frame takes seconds of arithmetic and must not stop the wires.
 
 Workers are plain child processes fed through pipes (``python -m labdrivers.sim.render_pool``), so they import nothing
 of the program that uses them, and end by themselves when it is gone, however it went.

@@ -1,10 +1,10 @@
 """The simulated rig: a table, a structure on it, and cameras before it, as pure physics with time passed in.
 
-No wires here: the wire simulators (`*_device`) hold one `Rig` between them, so that what the shaker is told moves what
-the cameras see. All times are seconds of one clock that the caller owns; commands come in ascending order, questions
+No wires here: the wire simulators (`*_device`) share one `RigModel`, so that the shaker's commands move what the
+cameras see. All times are seconds of one clock that the caller owns; commands come in ascending order, questions
 about any past time are answered from the history of commands.
 
-    rig = Rig(RigSpec())
+    rig = RigModel(RigSpec())
     rig.drive(t, frequency_hz=5.0, level_v=0.54, running=True)      # generator's output from t on
     rig.enable(t, True)                                             # amplifier's enable line
     rig.table_mm(times); rig.response_mm(times, point_mm=...)       # gauges
@@ -28,7 +28,7 @@ import numpy as np
 from labdrivers.sim.dng import write_dng
 from labdrivers.sim.lens import FloatArray
 from labdrivers.sim.optics import Optics
-from labdrivers.sim.render import Rendering, render_frame
+from labdrivers.sim.render import RenderedFrame, render_frame
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.structure import HEIGHT_MM
 from labdrivers.sim.table import History, rest_before
@@ -67,7 +67,7 @@ class ExposureJob:
     captured_at: str = ""
 
 
-class Rig:
+class RigModel:
     """Table, structure and cameras. Thread-safe: all state is one immutable history behind a lock."""
 
     def __init__(self, spec: RigSpec | None = None) -> None:
@@ -87,7 +87,7 @@ class Rig:
     ) -> None:
         """The generator's output from `t` on: a sine of `level_v` volts (zero to peak), or nothing.
 
-        The phase goes on where it was unless `phase_rad`, the phase at `t`, is given. A sine beyond the table's
+        The phase is continuous unless `phase_rad`, the phase at `t`, is given. A sine beyond the table's
         limits trips the amplifier; it stays tripped until a command with ``running=False``.
         """
         with self._lock:
@@ -151,7 +151,7 @@ class Rig:
         return displacements(self._history, points_mm, np.atleast_1d(t))
 
     def response_mm(self, t: FloatArray, point_mm: tuple[float, float, float] = TOP_MM) -> FloatArray:
-        """Displacement (n,) along X of one point of the structure, as a laser gauge beside the rig reads it."""
+        """Displacement (n,) along X of one point of the structure, as a laser gauge next to the rig reads it."""
         return self.displacement_mm(np.array([point_mm]), t)[0, :, 0]
 
     def acceleration_m_s2(self, t: FloatArray, point_mm: tuple[float, float, float] = TOP_MM) -> FloatArray:
@@ -269,7 +269,7 @@ def displacements(history: History, points_mm: FloatArray, t: FloatArray) -> Flo
     return moved
 
 
-def render_exposure(job: ExposureJob) -> Rendering:
+def render_exposure(job: ExposureJob) -> RenderedFrame:
     """The frame of one exposure with its truth in the image (for tests; cameras deliver `render_job`'s bytes)."""
     spec = job.spec
     seen = spec.cameras[job.camera]

@@ -36,7 +36,7 @@ def rig_toml(
     events, commands, data
         The daemon's addresses and folder.
     control_file, targets_file
-        Where `RigSpec.control_csv` and `RigSpec.targets_csv` are written, beside the rig file.
+        Where `RigSpec.control_csv` and `RigSpec.targets_csv` are written, in the rig file's folder.
     """
     table = spec.table
     sections = [

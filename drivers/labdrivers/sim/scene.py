@@ -25,7 +25,7 @@ def _on_plane(centre_mm: Vector, right: Vector, up: Vector, plane_mm: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class SceneTarget:
     """A black dot printed on a white paper label.
 
     Attributes
@@ -55,7 +55,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
-class Tag:
+class SceneTag:
     """An AprilTag of the 36h11 family on white card: a control target.
 
     Attributes
@@ -146,8 +146,8 @@ class Scene:
         wall does, and the simplest case for a measurement.
     """
 
-    targets: tuple[Target, ...]
-    tags: tuple[Tag, ...] = ()
+    targets: tuple[SceneTarget, ...]
+    tags: tuple[SceneTag, ...] = ()
     panels: tuple[Panel, ...] = ()
     paper: float = 0.85
     ink: float = 0.05
@@ -165,8 +165,10 @@ class Scene:
         if isinstance(scene, Scene):
             return scene
         plain = dict(scene)
-        plain["targets"] = tuple(t if isinstance(t, Target) else Target(**t) for t in plain.get("targets", ()))
-        plain["tags"] = tuple(t if isinstance(t, Tag) else Tag(**t) for t in plain.get("tags", ()))
+        plain["targets"] = tuple(
+            t if isinstance(t, SceneTarget) else SceneTarget(**t) for t in plain.get("targets", ())
+        )
+        plain["tags"] = tuple(t if isinstance(t, SceneTag) else SceneTag(**t) for t in plain.get("tags", ()))
         plain["panels"] = tuple(p if isinstance(p, Panel) else Panel(**p) for p in plain.get("panels", ()))
         return cls(**plain)
 

@@ -37,7 +37,7 @@ class Sensor:
     nef
         Quantise along a curve as the D80's compressed NEF does.
     serial
-        Tells one body's fixed pattern from another's.
+        Seed of the fixed pattern: each body has its own.
     """
 
     pattern: str = "RGGB"

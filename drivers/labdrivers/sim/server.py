@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from labdrivers.sim.assembly import SimulatedRig
-from labdrivers.sim.control import Control, ControlClient, ControlServer
+from labdrivers.sim.control import ControlClient, ControlCommands, ControlServer
 from labdrivers.sim.rig_file import write_rig_files
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.usb_remote import BusServer
@@ -142,7 +142,7 @@ def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enab
     Parameters
     ----------
     seed
-        Of paper grain, noise and survey errors.
+        Of paper texture, noise and survey errors.
     small
         Frames of 64 × 48 pixels that take no time, for tests of everything but the measurement.
     cards
@@ -181,9 +181,9 @@ def _spec(seed: int, small: bool) -> RigSpec:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the rig in this process until told otherwise."""
+    """Run the rig in this process until a signal or the control command ``quit`` ends it."""
     parser = argparse.ArgumentParser(prog="python -m labdrivers.sim.server", description=__doc__)
-    parser.add_argument("--seed", type=int, default=1, help="of paper grain, noise and survey errors")
+    parser.add_argument("--seed", type=int, default=1, help="of paper texture, noise and survey errors")
     parser.add_argument("--small", action="store_true", help="frames of 64 x 48 pixels that take no time")
     parser.add_argument("--cards", type=Path, help="directory for the cameras' cards")
     parser.add_argument("--enable-not-wired", action="store_true", help="amplifier runs without the enable line")
@@ -193,7 +193,7 @@ def main(arguments: list[str] | None = None) -> int:
     ended, stop = _end_on_signals()
     rig = SimulatedRig(spec, cards=options.cards, enable_wired=not options.enable_not_wired)
     ports = {name: TcpPort(device) for name, device in rig.wires.items()}
-    bus, control = BusServer(rig.bus), ControlServer(Control(rig, stop))
+    bus, control = BusServer(rig.bus), ControlServer(ControlCommands(rig, stop))
     urls = {name: port.url for name, port in ports.items()}
     addresses = {"ports": urls, "backend": "sim-remote", "backend_url": bus.url, "control": control.url}
     print(json.dumps(addresses), flush=True)
@@ -205,7 +205,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _end_on_signals() -> tuple[int, Callable[[], None]]:
-    """A descriptor that becomes readable when the rig is to end, and what makes it so, beside SIGINT and SIGTERM.
+    """A descriptor that becomes readable when the rig is to end, and a function that ends it as SIGINT and SIGTERM do.
 
     The interpreter's low-level handler writes to it, in whichever thread the kernel chose to interrupt. A handler in
     Python would not do: it runs in the main thread only, which reads; a signal to another thread, or in the moment

@@ -1,6 +1,6 @@
 """The shutters' cable on the RTS line of a serial adapter, with an arm switch that is wired back to CTS.
 
-Opening the port raises RTS for a moment, as Linux does: with the switch on that is a shot nobody asked for.
+Opening the port raises RTS for a moment, as Linux does: with the switch on that is a shot without a request.
 """
 
 from __future__ import annotations
@@ -57,4 +57,4 @@ class ShutterCable(WireDevice):
                 shutter.release(now)
 
     def receive(self, data: bytes) -> None:
-        """Nobody reads what is written."""
+        """Discard what is written."""

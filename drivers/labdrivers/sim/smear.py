@@ -21,7 +21,7 @@ from labdrivers.sim.card import (
 )
 from labdrivers.sim.lens import FloatArray
 from labdrivers.sim.path import Path, View
-from labdrivers.sim.scene import Scene, Tag, Target
+from labdrivers.sim.scene import Scene, SceneTag, SceneTarget
 from labdrivers.sim.sensor import FloatImage
 from labdrivers.sim.window import Window, dwell_map, transform
 
@@ -29,7 +29,7 @@ SHAPE_STEP_PX = 0.04
 """A shape is drawn anew when its outline has changed by this much on the way (depth, perspective, distortion)."""
 
 PAPER_STEP_PX = 0.3
-"""The same for the label's paper, whose edges nobody measures."""
+"""The same for the label's paper, whose edges are not measured."""
 
 MAX_SHAPES = 32
 
@@ -51,8 +51,8 @@ class Layer:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Smear:
-    """A card with what is printed on it, added up over the exposure.
+class CardSpectra:
+    """Spectra of a card and of what is printed on it, added up over the exposure.
 
     The paper is drawn less finely than the ink: only the ink's edges are measured.
     """
@@ -61,7 +61,7 @@ class Smear:
     ink: Layer
 
 
-def smear_target(scene: Scene, index: int, view: View, path: Path, fine: int) -> Smear | None:
+def blur_target(scene: Scene, index: int, view: View, path: Path, fine: int) -> CardSpectra | None:
     """A dot with its label, added up over the exposure; None if it stays outside the frame."""
     target = scene.targets[index]
     image = view.project(np.asarray(target.centre_mm) + path.displacement_mm)
@@ -76,7 +76,7 @@ def smear_target(scene: Scene, index: int, view: View, path: Path, fine: int) ->
         paper = _accumulate(draw_paper, scene, index, view, still, paper_window, PAPER_STEP_PX)
     else:
         paper = _accumulate(draw_paper, scene, index, view, path, paper_window, PAPER_STEP_PX)
-    return Smear(paper, _accumulate(draw_ink, scene, index, view, path, ink_window, SHAPE_STEP_PX))
+    return CardSpectra(paper, _accumulate(draw_ink, scene, index, view, path, ink_window, SHAPE_STEP_PX))
 
 
 def _window(view: View, plane: Plane, half_mm: tuple[float, float], path: Path, image: FloatArray, fine: int) -> Window:
@@ -106,7 +106,7 @@ def _accumulate(draw: Draw, scene: Scene, index: int, view: View, path: Path, wi
     return Layer(window, tuple(total))
 
 
-def shape_groups(target: Target, view: View, path: Path, step_px: float) -> list[NDArray[np.intp]]:
+def shape_groups(target: SceneTarget, view: View, path: Path, step_px: float) -> list[NDArray[np.intp]]:
     """Moments sorted into groups in which the dot's outline looks the same to within `step_px`."""
     radius = 0.5 * target.diameter_mm
     rim = target.points(radius * np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]))
@@ -128,9 +128,9 @@ def shape_groups(target: Target, view: View, path: Path, step_px: float) -> list
     return [members for k in range(count) if (members := np.flatnonzero(group == k)).size]
 
 
-def smear_tag(scene: Scene, index: int, view: View, fine: int) -> Smear | None:
+def blur_tag(scene: Scene, index: int, view: View, fine: int) -> CardSpectra | None:
     """A control target, which does not move; None if it lies outside the frame."""
-    tag: Tag = scene.tags[index]
+    tag: SceneTag = scene.tags[index]
     half = 0.5 * tag.card_mm
     still = Path.at_rest(0.0)
     image = view.project(np.asarray(tag.centre_mm)[None, :])
@@ -148,4 +148,4 @@ def smear_tag(scene: Scene, index: int, view: View, fine: int) -> Smear | None:
     taken = tag_coverage(tag, u, v) * (scene.paper - scene.ink)
     taken *= 1.0 + grain_at(scene, 5000 + index, (tag.card_mm, tag.card_mm), u, v)
     ink = transform(placed(taken, part, ink_window))
-    return Smear(Layer(paper_window, tuple(spectra)), Layer(ink_window, (ink,)))
+    return CardSpectra(Layer(paper_window, tuple(spectra)), Layer(ink_window, (ink,)))

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from labdrivers.sim.lens import Camera
-from labdrivers.sim.scene import Panel, Scene, Tag, Target
+from labdrivers.sim.lens import CameraModel
+from labdrivers.sim.scene import Panel, Scene, SceneTag, SceneTarget
 from labdrivers.sim.sensor import Sensor
 from labdrivers.sim.structure import DEFAULT_MODES, HEIGHT_MM, Mode
 from labdrivers.sim.table import TableSpec
@@ -40,9 +40,9 @@ class CameraSpec:
     distortion: tuple[float, float, float, float, float] = (-0.09, 0.07, 0.0003, -0.0002, 0.0)
     opening_lag_s: float = 0.062
 
-    def camera(self) -> Camera:
+    def camera(self) -> CameraModel:
         """Lens and place, for the renderer."""
-        return Camera.looking_at(
+        return CameraModel.looking_at(
             self.aim_mm,
             self.position_mm,
             image_size=self.image_size,
@@ -52,13 +52,13 @@ class CameraSpec:
         )
 
 
-def frame_targets(dots_per_column: int = 12, diameter_mm: float = 8.0) -> tuple[Target, ...]:
+def frame_targets(dots_per_column: int = 12, diameter_mm: float = 8.0) -> tuple[SceneTarget, ...]:
     """Dots on the two front columns, from the table upwards: L01 (left, lowest) to R12 (right, top)."""
     heights = np.linspace(45.0, HEIGHT_MM - 25.0, dots_per_column)
     pitch = float(heights[1] - heights[0]) if dots_per_column > 1 else 60.0
     side = min(48.0, pitch - 4.0)
     return tuple(
-        Target(f"{label}{index + 1:02d}", (x, FRONT_Y_MM, round(float(z), 3)), diameter_mm, (46.0, side))
+        SceneTarget(f"{label}{index + 1:02d}", (x, FRONT_Y_MM, round(float(z), 3)), diameter_mm, (46.0, side))
         for label, x in (("L", -COLUMN_X_MM), ("R", COLUMN_X_MM))
         for index, z in enumerate(heights)
     )
@@ -91,19 +91,19 @@ def frame_panels() -> tuple[Panel, ...]:
     return (bed_top, table, *rear, *(top(z) for z in floors), *slabs, *front)
 
 
-def control_tags() -> tuple[Tag, ...]:
+def control_tags() -> tuple[SceneTag, ...]:
     """Control targets on stands around the table, spread in depth so that they fix both cameras."""
     places = [
         (-330.0, -60.0, 90.0), (-350.0, 60.0, 330.0), (-320.0, -140.0, 560.0), (-300.0, 40.0, 745.0),
         (330.0, -90.0, 110.0), (345.0, 50.0, 350.0), (325.0, -120.0, 585.0), (300.0, 30.0, 735.0),
         (10.0, 30.0, 95.0), (-10.0, 60.0, 470.0),
     ]  # fmt: skip
-    return tuple(Tag(number, place) for number, place in enumerate(places))
+    return tuple(SceneTag(number, place) for number, place in enumerate(places))
 
 
 @dataclass(frozen=True)
 class RigSpec:
-    """The whole simulated rig. The same spec and seed are the same lab, to the grain of its paper.
+    """The whole simulated rig. The same spec and seed are the same lab, to the texture of its paper.
 
     Attributes
     ----------
@@ -128,8 +128,8 @@ class RigSpec:
     modes: tuple[Mode, ...] = DEFAULT_MODES
     table: TableSpec = field(default_factory=TableSpec)
     sensor: Sensor = field(default_factory=lambda: Sensor(nef=True))
-    targets: tuple[Target, ...] = field(default_factory=frame_targets)
-    tags: tuple[Tag, ...] = field(default_factory=control_tags)
+    targets: tuple[SceneTarget, ...] = field(default_factory=frame_targets)
+    tags: tuple[SceneTag, ...] = field(default_factory=control_tags)
     survey_sd_mm: float = 0.05
     iso: int = 100
     f_number: float = 32.0

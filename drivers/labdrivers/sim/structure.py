@@ -33,7 +33,7 @@ class Mode:
     frequency_hz, damping_ratio
         Natural frequency, and ζ as a fraction of critical.
     quarter_waves
-        Odd number: how many quarter sine waves fit the height (1 first, 3 second bending).
+        Number of quarter sine waves over the height, 1, 3, 5 … (1 first bending, 3 second).
     sway
         (x, y) displacement of the top's axis per unit modal coordinate.
     twist_per_mm

@@ -171,5 +171,5 @@ class History:
 
 
 def rest_before(modes: Sequence[Mode]) -> History:
-    """A rig that has never been told anything."""
+    """A rig that has never received a command."""
     return History(tuple(modes))

@@ -42,8 +42,8 @@ CONTACT_PATIENCE_S = 2.0
 TICK_US = 4
 
 
-class Excitation(Protocol):
-    """What the box's wires are tied to beside the cameras; times on the rig's clock."""
+class RigSignals(Protocol):
+    """The rig's signals on the box's wires, apart from the cameras; times on the rig's clock."""
 
     def enable(self, up: bool) -> None:
         """The amplifier's enable line."""
@@ -88,7 +88,7 @@ class TriggerDevice(WireDevice):
     def __init__(
         self,
         shutters: Sequence[Shutter],
-        excitation: Excitation,
+        excitation: RigSignals,
         *,
         clock: Callable[[], float] = time.monotonic,
         seed: int = 0,
@@ -228,7 +228,7 @@ class TriggerDevice(WireDevice):
     def _fire(self, delay_s: float | None) -> str:
         now = self._clock()
         if self.faults.strike("busy") or any(self._shot_state(shot, now) != "DONE" for shot in self._shots.values()):
-            return "ERR BUSY a shot is under way"
+            return "ERR BUSY a shot is in progress"
         due = now
         if delay_s is not None:
             sync = self._sync(now)

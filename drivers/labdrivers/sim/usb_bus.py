@@ -19,7 +19,7 @@ LANGUAGE = 0x0409
 
 @dataclass(frozen=True, slots=True)
 class PluggedIn:
-    """What enumeration tells of a device."""
+    """What enumeration reports of a device."""
 
     address: int
     vendor: int

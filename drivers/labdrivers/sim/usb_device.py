@@ -14,7 +14,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from labdrivers.ptp.codes import Kind, Op
+from labdrivers.ptp.codes import ContainerKind, Op
 from labdrivers.ptp.container import HEADER, UNKNOWN_LENGTH, BadContainer, pack, pack_parameters, read_header
 from labdrivers.sim.faults import Faults
 from labdrivers.sim.ptp_device import PtpBody
@@ -78,7 +78,7 @@ class UsbCamera:
         body.on_event = self._event
 
     def unplugged(self) -> None:
-        """The cable was pulled: everything under way is lost."""
+        """The cable was pulled: every transfer in progress is lost."""
         with self._news:
             self._bulk_in.clear()
             self._interrupts.clear()
@@ -134,13 +134,13 @@ class UsbCamera:
             self._halted.update((EP_IN, EP_OUT))
             return
         payload = container[HEADER.size :]
-        if header.kind == Kind.COMMAND:
+        if header.kind == ContainerKind.COMMAND:
             parameters = struct.unpack(f"<{len(payload) // 4}I", payload[: len(payload) // 4 * 4])
             if header.code == Op.SET_PROP_VALUE:
                 self._command = (header.code, header.transaction, parameters)
             else:
                 self._answer(header.code, header.transaction, parameters, b"")
-        elif header.kind == Kind.DATA and self._command is not None:
+        elif header.kind == ContainerKind.DATA and self._command is not None:
             code, transaction, parameters = self._command
             self._command = None
             self._answer(code, transaction, parameters, payload)
@@ -162,14 +162,14 @@ class UsbCamera:
             self._queue(self._last_answer)
         if data is not None and not self._data_phase(code, transaction, data):
             return
-        self._last_answer = pack(Kind.RESPONSE, response, transaction, pack_parameters(*values))
+        self._last_answer = pack(ContainerKind.RESPONSE, response, transaction, pack_parameters(*values))
         self._queue(self._last_answer)
 
     def _data_phase(self, code: int, transaction: int, data: bytes) -> bool:
         """Queue the data phase; False if it was broken."""
-        whole = pack(Kind.DATA, code, transaction, data)
+        whole = pack(ContainerKind.DATA, code, transaction, data)
         if self.faults.is_on("unknown_length"):
-            whole = HEADER.pack(UNKNOWN_LENGTH, Kind.DATA, code, transaction) + data
+            whole = HEADER.pack(UNKNOWN_LENGTH, ContainerKind.DATA, code, transaction) + data
         if self.faults.strike("pipe_error"):
             self._queue(whole[: max(PACKET, len(whole) // 2 // PACKET * PACKET)], breaks=True)
             return False
@@ -258,7 +258,7 @@ class UsbCamera:
         return packet
 
     def _event(self, code: int, parameter: int) -> None:
-        event = pack(Kind.EVENT, code, 0xFFFFFFFF, pack_parameters(parameter))
+        event = pack(ContainerKind.EVENT, code, 0xFFFFFFFF, pack_parameters(parameter))
         with self._news:
             self._interrupts.append(event)
             self._news.notify_all()

@@ -83,7 +83,7 @@ class Serial(SerialBase):
 
     @property
     def ri(self) -> bool:
-        """Nobody rings."""
+        """No device drives the ring indicator."""
         return False
 
     cd = ri
