@@ -123,7 +123,7 @@ class _Directory:
         return max(ends)
 
 
-class _Unfinished(Exception):
+class _IncompleteFile(Exception):
     """The file ends before what its own structure says."""
 
 
@@ -159,7 +159,7 @@ def check_content(read: Read, size_bytes: int) -> Content:
             return _fuji(source)
         if head[4:8] == b"ftyp":
             return _boxes(source, head)
-    except _Unfinished:
+    except _IncompleteFile:
         return Content(Kind.UNFINISHED)
     for magic, ending in OTHER_RAW.items():
         if head.startswith(magic):
@@ -188,10 +188,10 @@ class _Blocks:
         return bytes(found)
 
     def all(self, offset: int, size: int) -> bytes:
-        """Exactly so many bytes; raises `_Unfinished` past the end."""
+        """Exactly so many bytes; raises `_IncompleteFile` past the end."""
         found = self.some(offset, size)
         if len(found) < size:
-            raise _Unfinished
+            raise _IncompleteFile
         return found
 
     def _block(self, number: int) -> bytes:
@@ -236,7 +236,7 @@ def _directories(source: _Blocks, order: str, *, is_big: bool) -> Iterator[_Dire
             continue
         seen.add(offset)
         if offset >= source.size_bytes:
-            raise _Unfinished
+            raise _IncompleteFile
         directory, following = _directory(source, order, offset, is_big=is_big)
         yield directory
         waiting += [following, *directory.tags.get(SUB_DIRECTORIES, [])]

@@ -19,7 +19,7 @@ from labdaemon.blur import ExposureWindow, LightCode
 from labdaemon.errors import ConfigError, DataError, UsageError
 from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_misspelt
-from labdaemon.processing.survey import ControlPoint, TargetPlace, read_control, read_targets
+from labdaemon.processing.survey import SurveyedPoint, TargetPlace, read_control, read_targets
 
 NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
 SAME_FREQUENCY = 1e-3
@@ -136,7 +136,7 @@ class DataFolder:
 
     root: Path
     rig: RigFile
-    control: tuple[ControlPoint, ...]
+    control: tuple[SurveyedPoint, ...]
     targets: tuple[TargetPlace, ...]
 
     def sharp(self, name: str | None = None) -> SharpFiles:

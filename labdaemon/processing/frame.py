@@ -33,7 +33,7 @@ from labdaemon.processing.matched_filter import BlurredTarget
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.shift import FrameShift, frame_shift
-from labdaemon.processing.survey import ControlPoint
+from labdaemon.processing.survey import SurveyedPoint
 from labdaemon.processing.target_search import locate_targets
 from labdaemon.processing.thumbnails import find_thumbnail
 
@@ -99,7 +99,7 @@ def measure_frames(
     files: Sequence[Path],
     windows: Sequence[ExposureWindow | None],
     *,
-    control: Sequence[ControlPoint] = (),
+    control: Sequence[SurveyedPoint] = (),
     method: str = "fit",
 ) -> FrameResult:
     """Measure every target of one camera in a capture, or in the captures of a group together.
@@ -131,7 +131,7 @@ def measure_raw(
     frames: Sequence[RawFrame],
     windows: Sequence[ExposureWindow | None],
     *,
-    control: Sequence[ControlPoint] = (),
+    control: Sequence[SurveyedPoint] = (),
     method: str = "fit",
 ) -> FrameResult:
     """Measure frames that are already read; otherwise as `measure_frames`."""
@@ -181,7 +181,7 @@ def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: 
 
 
 def _camera_motion(
-    camera: PreparedCamera, shifted: FrameShift, control: Sequence[ControlPoint], file: Path
+    camera: PreparedCamera, shifted: FrameShift, control: Sequence[SurveyedPoint], file: Path
 ) -> CameraMotion | None:
     """How the camera stood in this frame."""
     if camera.orientation is None:

@@ -22,7 +22,7 @@ from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.raw import read_frame
 from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control
 from labdaemon.processing.naming import names_in_image
-from labdaemon.processing.survey import ControlPoint
+from labdaemon.processing.survey import SurveyedPoint
 from labdaemon.processing.target_search import ExpectedTarget, measure_contrast
 from labdaemon.processing.thumbnails import Thumbnail
 
@@ -54,7 +54,7 @@ class CameraSurvey:
     """
 
     lens: Lens
-    control: tuple[ControlPoint, ...]
+    control: tuple[SurveyedPoint, ...]
     family: str
     size_mm: float
     diameters_mm: tuple[float, ...]

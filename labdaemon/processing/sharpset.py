@@ -19,7 +19,7 @@ from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
 from labdaemon.processing.naming import names_in_space, names_like, near_places
 from labdaemon.processing.prepare import CameraSurvey, PreparedCamera, prepare_camera
 from labdaemon.processing.stations import detected_dots, excluded, orient_cameras
-from labdaemon.processing.survey import ControlPoint
+from labdaemon.processing.survey import SurveyedPoint
 
 SIZE_TOLERANCE = 0.25
 """How far a dot's size may be from nominal, relative, before it is taken for clutter."""
@@ -62,7 +62,7 @@ class SharpSet:
     sure: NDArray[np.bool_]
     plane: Plane | None
     covariance: FloatArray | None
-    control: tuple[ControlPoint, ...]
+    control: tuple[SurveyedPoint, ...]
     method: str
     notes: tuple[str, ...]
 

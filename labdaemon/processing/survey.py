@@ -12,7 +12,7 @@ from labdaemon.errors import DataError
 
 
 @dataclass(frozen=True, slots=True)
-class ControlPoint:
+class SurveyedPoint:
     """Surveyed centre of a control target, mm, with the survey's standard deviation in each coordinate."""
 
     name: str
@@ -64,7 +64,7 @@ def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[str, list[float]]]
     return rows
 
 
-def read_control(path: Path, size_mm: float) -> tuple[ControlPoint, ...]:
+def read_control(path: Path, size_mm: float) -> tuple[SurveyedPoint, ...]:
     """Read the surveyed control targets.
 
     Parameters
@@ -80,7 +80,7 @@ def read_control(path: Path, size_mm: float) -> tuple[ControlPoint, ...]:
         The file is missing or malformed, has fewer than four points, a negative uncertainty, or is in metres.
     """
     points = tuple(
-        ControlPoint(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm", "sd_mm"))
+        SurveyedPoint(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm", "sd_mm"))
     )
     if len(points) < 4:
         raise DataError(f"{len(points)} control targets; at least 4 are needed", file=path)
@@ -101,7 +101,7 @@ def read_control(path: Path, size_mm: float) -> tuple[ControlPoint, ...]:
     return points
 
 
-def read_targets(path: Path, control: tuple[ControlPoint, ...]) -> tuple[TargetPlace, ...]:
+def read_targets(path: Path, control: tuple[SurveyedPoint, ...]) -> tuple[TargetPlace, ...]:
     """Read approximate places of the monitoring targets.
 
     Raises

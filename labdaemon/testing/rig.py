@@ -1,8 +1,7 @@
 """A rig in memory, for simulated time: devices that answer at once and say how long they would have taken.
 
 Not a stand-in for the wire simulators, which test drivers; this tests whoever calls drivers, for days at a time. The
-table follows the shaker, the structure rings up behind it, cameras keep files on a card, and any operation of any
-device can be made to fail.
+table follows the shaker, the structure rings up behind it, cameras keep files on a card, any operation can fail.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from labdaemon.errors import DataError
-from labdaemon.processing.survey import ControlPoint, read_control, read_targets
+from labdaemon.processing.survey import SurveyedPoint, read_control, read_targets
 
 CONTROL = """name,x_mm,y_mm,z_mm,sd_mm
 0,-349.99,0.408,130.367,0.3
@@ -23,7 +23,7 @@ def write(tmp_path: Path, text: str) -> Path:
 
 def test_reads_control(tmp_path: Path) -> None:
     points = read_control(write(tmp_path, CONTROL), 36.0)
-    assert points[2] == ControlPoint("2", 350.171, -0.017, 130.224, 0.3)
+    assert points[2] == SurveyedPoint("2", 350.171, -0.017, 130.224, 0.3)
 
 
 def test_takes_spaces_a_byte_order_mark_and_more_columns(tmp_path: Path) -> None:
