@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from labdaemon.events import Event as Event
     from labdaemon.events import parse_event as parse_event
     from labdaemon.flags import Flag as Flag
-    from labdaemon.imaging.frame import RawFrame as RawFrame
+    from labdaemon.imaging import RawFrame as RawFrame
     from labdaemon.stream.client import Client as Client
 
 __version__ = "0.1.0"

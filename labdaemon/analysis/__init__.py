@@ -8,6 +8,6 @@ from labdaemon.analysis.arrays import frame_from_array
 from labdaemon.analysis.measuring import measure
 from labdaemon.analysis.motion_table import MotionTable
 from labdaemon.analysis.processing import ProcessedFolder, process
-from labdaemon.imaging.raw import read_frame
+from labdaemon.imaging import read_frame
 
 __all__ = ["MotionTable", "ProcessedFolder", "frame_from_array", "measure", "process", "read_frame"]

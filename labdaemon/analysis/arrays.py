@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdaemon.errors import UsageError
-from labdaemon.imaging.frame import RawFrame
-from labdaemon.imaging.raw import check_frame, read_frame
+from labdaemon.imaging import RawFrame, check_frame, read_frame
 
 FrameLike: TypeAlias = "str | PathLike[str] | RawFrame | NDArray[np.generic]"
 """A file, a frame that was read, or an array of linear values."""

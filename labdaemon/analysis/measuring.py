@@ -8,8 +8,7 @@ from labdaemon.analysis.arrays import FrameLike, as_frames
 from labdaemon.analysis.motion_table import MotionTable
 from labdaemon.blur import ExposureWindow
 from labdaemon.errors import UsageError
-from labdaemon.processing.frame import measure_raw
-from labdaemon.processing.prepare import name_dots, prepare_frames, prepare_patch_frames
+from labdaemon.processing import measure_raw, name_dots, prepare_frames, prepare_patch_frames
 
 Box = tuple[int, int, int, int]
 

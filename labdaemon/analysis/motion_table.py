@@ -11,7 +11,7 @@ import numpy as np
 
 from labdaemon.blur import Measurement
 from labdaemon.errors import UsageError
-from labdaemon.processing.tables import MEASUREMENT_COLUMNS, Row, csv_text, measurement_row
+from labdaemon.processing import MEASUREMENT_COLUMNS, Row, csv_text, measurement_row
 
 if TYPE_CHECKING:
     import pandas as pd

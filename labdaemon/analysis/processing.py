@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, overload
 
 from labdaemon.envelope import Envelope, TargetEnvelope
 from labdaemon.errors import UsageError
-from labdaemon.processing.folder import open_folder
-from labdaemon.processing.run import process_folder
+from labdaemon.processing import open_folder, process_folder
 
 if TYPE_CHECKING:
     import pandas as pd

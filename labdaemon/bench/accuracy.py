@@ -15,8 +15,7 @@ from labdaemon.bench.bound import BoundTable, ImageNoise, bound_table
 from labdaemon.bench.cases import BASE, Case, cases
 from labdaemon.bench.pairs import MotionComparison, pair_up, read_truth
 from labdaemon.bench.simulator import folder_maker, renderer
-from labdaemon.processing.pool import WorkerPool
-from labdaemon.processing.run import process_folder
+from labdaemon.processing import WorkerPool, process_folder
 
 Progress = Callable[[str], None]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.bench.simulator import Renderer
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 
 PX_PER_MM = 24.0 / 6.1
 """Of the set-up at 1 m."""

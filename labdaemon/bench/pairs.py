@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 from labdaemon.orbit_size import semi_axes, semi_major_axis
 
 NEAR_MM = 12.0

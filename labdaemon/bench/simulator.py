@@ -7,7 +7,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 from labdaemon.errors import UsageError
 
 GROUP = "labdaemon.simulators"

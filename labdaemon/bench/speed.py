@@ -13,18 +13,18 @@ import numpy as np
 import rawpy
 
 from labdaemon.bench.simulator import folder_maker
-from labdaemon.blur.frame import measure_frame
-from labdaemon.blur.motion import Defocus, InitialGuess
-from labdaemon.imaging.frame import RawFrame
-from labdaemon.imaging.raw import read_frame
-from labdaemon.processing.folder import open_folder
-from labdaemon.processing.frame import measure_raw
-from labdaemon.processing.matched_filter import BlurredTarget
-from labdaemon.processing.pool import WorkerPool
-from labdaemon.processing.prepare import PreparedCamera
-from labdaemon.processing.sharpset import prepare_sharp
-from labdaemon.processing.shift import frame_shift
-from labdaemon.processing.target_search import locate_targets
+from labdaemon.blur import Defocus, InitialGuess, measure_frame
+from labdaemon.imaging import RawFrame, read_frame
+from labdaemon.processing import (
+    BlurredTarget,
+    PreparedCamera,
+    WorkerPool,
+    frame_shift,
+    locate_targets,
+    measure_raw,
+    open_folder,
+    prepare_sharp,
+)
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ from scipy import special
 
 from labdaemon.bench.bound import BoundTable
 from labdaemon.bench.pairs import MotionComparison
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 
 SEEN_MM = 0.25
 """Amplitudes from which an error compares with the bound: below, the estimate is no longer unbiased (about 1 px)."""

@@ -6,25 +6,35 @@ first: ``patch`` (what the sensor saw), ``solver``, ``spectra`` (dot, lens, pixe
 part cycles). ``published`` holds the published method, to compare with.
 """
 
+from labdaemon.blur.average import average_measurements
+from labdaemon.blur.fit.refit import failure_flags
 from labdaemon.blur.fit.static_target import measure_static
 from labdaemon.blur.frame import measure_displacement, measure_frame
 from labdaemon.blur.group import measure_group
 from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
+from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, StaticMeasurement
+from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_ellipse
 from labdaemon.blur.patch.noise import estimate_noise
-from labdaemon.blur.patch.pixels import Dot, NoiseModel, Patch
-from labdaemon.blur.phase.signs import RelativeSigns, find_relative_signs
+from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
+from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
+from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
 from labdaemon.blur.sharp.fit_sharp import fit_sharp
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import make_textured_patch
 from labdaemon.blur.smear.defocus import estimate_frame_defocus
+from labdaemon.blur.unsolvable import solved
 from labdaemon.blur.waveform import MotionWaveform
 
 __all__ = [
+    "MEASURE",
+    "TEXTURE_MAP",
     "Defocus",
     "Dot",
+    "Ellipse",
     "ExposureWindow",
+    "FloatArray",
     "InitialGuess",
     "LightCode",
     "Measurement",
@@ -34,16 +44,23 @@ __all__ = [
     "RelativeSigns",
     "SharpTarget",
     "StaticMeasurement",
+    "average_measurements",
+    "decide_sign",
+    "ellipse_from_moments",
     "estimate_frame_defocus",
     "estimate_noise",
+    "failure_flags",
     "find_relative_signs",
+    "fit_ellipse",
     "fit_sharp",
     "make_textured_patch",
     "measure",
     "measure_displacement",
     "measure_frame",
     "measure_group",
+    "measure_mccarthy2016",
     "measure_static",
     "mirror_axes",
     "named_code",
+    "solved",
 ]

@@ -13,10 +13,8 @@ from rich.console import Console
 from labdaemon.cli.progress_bars import ProgressBars
 from labdaemon.durable import write_durably
 from labdaemon.errors import StorageError, UsageError
-from labdaemon.geometry.lens import INTERIOR_NAMES
-from labdaemon.processing.boards import Charuco
-from labdaemon.processing.calibration import Calibration, board_files, calibrate, read_board
-from labdaemon.processing.photomodeler import calibrate_export
+from labdaemon.geometry import INTERIOR_NAMES
+from labdaemon.processing import Calibration, Charuco, board_files, calibrate, calibrate_export, read_board
 from labdaemon.report.residuals import draw_residuals
 
 

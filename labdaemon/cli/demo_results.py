@@ -14,7 +14,7 @@ from typing import Any
 from labdaemon.cli.demo_lab import DemoFailed
 from labdaemon.durable import write_durably
 from labdaemon.orbit_size import size_mm
-from labdaemon.processing.tables import Row, read_csv
+from labdaemon.processing import Row, read_csv
 from labdaemon.report.folder_page import envelopes
 from labdaemon.report.overlay import overlay_path, write_overlay
 

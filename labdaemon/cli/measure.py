@@ -11,12 +11,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from labdaemon.blur.motion import ExposureWindow
+from labdaemon.blur import ExposureWindow
 from labdaemon.cli.progress_bars import ProgressBars, print_notes
 from labdaemon.errors import UsageError
-from labdaemon.processing.frame import measure_frames
-from labdaemon.processing.prepare import name_dots, prepare_camera, prepare_patches
-from labdaemon.processing.tables import MEASUREMENT_COLUMNS, Row, csv_text, measurement_row, write_csv
+from labdaemon.processing import (
+    MEASUREMENT_COLUMNS,
+    Row,
+    csv_text,
+    measure_frames,
+    measurement_row,
+    name_dots,
+    prepare_camera,
+    prepare_patches,
+    write_csv,
+)
 from labdaemon.report.overlay import overlay_path, write_overlay
 
 Box = tuple[int, int, int, int]

@@ -12,9 +12,7 @@ from rich.table import Table
 
 from labdaemon.cli.progress_bars import ProgressBars, print_notes
 from labdaemon.orbit_size import size_mm
-from labdaemon.processing.envelope import CaptureResult
-from labdaemon.processing.pool import WorkerPool
-from labdaemon.processing.run import FolderResult, process_folder
+from labdaemon.processing import CaptureResult, FolderResult, WorkerPool, process_folder
 from labdaemon.report.overlay import write_overlays
 
 

@@ -20,7 +20,7 @@ from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.motion_adjustment import nearest_point
 from labdaemon.geometry.network import Network, Pose
-from labdaemon.geometry.orient import Orientation, orient
+from labdaemon.geometry.orientation import Orientation, orient
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors
 from labdaemon.geometry.settings import SNOOPING

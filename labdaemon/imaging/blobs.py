@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments
+from labdaemon.blur import Ellipse, ellipse_from_moments
 from labdaemon.imaging.frame import Grey
 
 REDUCED_RANGE_PX = (5.0, 26.0)

@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch import ellipse
-from labdaemon.blur.patch.ellipse import Ellipse
-from labdaemon.blur.patch.pixels import Dot
+from labdaemon.blur import Dot, Ellipse, fit_ellipse
 from labdaemon.imaging.blobs import find_blobs
 from labdaemon.imaging.frame import Grey, RawFrame
 from labdaemon.imaging.paper_extent import paper_extent
@@ -236,14 +234,14 @@ def _crossings(profile: FloatArray, scales: FloatArray, level: FloatArray) -> Fl
 
 def _robust_fit(points: FloatArray) -> Ellipse | None:
     """Ellipse through edge points, again without the few that a hot pixel or a scratch has displaced."""
-    fitted = ellipse.fit_ellipse(points)
+    fitted = fit_ellipse(points)
     if fitted is None:
         return None
     off = np.abs(fitted.radii(points) - 1.0)
     keep = off <= max(3.0 * 1.4826 * float(np.median(off)), 1e-3)
     if keep.all() or keep.sum() < 0.8 * len(points):
         return fitted
-    return ellipse.fit_ellipse(points[keep])
+    return fit_ellipse(points[keep])
 
 
 def _distinct(candidates: list[_Candidate]) -> list[_Candidate]:

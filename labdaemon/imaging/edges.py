@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from labdaemon.blur.patch.pixels import Patch
+from labdaemon.blur import Patch
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur import FloatArray, Patch
 from labdaemon.errors import DataError
 from labdaemon.imaging.hot_pixels import isolated, within_neighbours
 from labdaemon.imaging.lazy_image import LazyImage

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 
 
 def isolated(values: FloatArray, spacing: int, unclipped: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:

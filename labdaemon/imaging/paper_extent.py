@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.ellipse import Ellipse
+from labdaemon.blur import Ellipse
 from labdaemon.imaging.frame import Grey
 
 FloatArray = NDArray[np.float64]

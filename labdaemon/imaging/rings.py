@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.ellipse import Ellipse
-from labdaemon.blur.patch.pixels import Dot
+from labdaemon.blur import Dot, Ellipse
 from labdaemon.errors import UsageError
 from labdaemon.imaging.dots import find_dots
 from labdaemon.imaging.frame import Grey, RawFrame

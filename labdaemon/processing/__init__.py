@@ -5,23 +5,79 @@ capture, `process_folder` for a whole data-set folder, all of them the same func
 campaign processed again gives the same numbers.
 """
 
+from labdaemon.processing.boards import Charuco
+from labdaemon.processing.calibration import Calibration, board_files, calibrate, read_board
 from labdaemon.processing.envelope import CaptureResult, measure_capture
+from labdaemon.processing.folder import NOT_FRAMES, open_folder, sharp_sets
+from labdaemon.processing.frame import measure_frames, measure_raw
+from labdaemon.processing.frame_size import check_frame_sizes
+from labdaemon.processing.matched_filter import BlurredTarget
+from labdaemon.processing.photomodeler import calibrate_export
 from labdaemon.processing.pool import WorkerPool
+from labdaemon.processing.prepare import (
+    PreparedCamera,
+    name_dots,
+    prepare_camera,
+    prepare_frames,
+    prepare_patch_frames,
+    prepare_patches,
+)
+from labdaemon.processing.results_place import FILES, RESULTS, Stamp, stamps
 from labdaemon.processing.run import FolderResult, process_folder
 from labdaemon.processing.sharpset import SharpSet, prepare_sharp
-from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, read_csv, write_csv
+from labdaemon.processing.shift import frame_shift
+from labdaemon.processing.survey import read_control, read_targets
+from labdaemon.processing.tables import (
+    ENVELOPE_COLUMNS,
+    MEASUREMENT_COLUMNS,
+    Row,
+    csv_text,
+    measurement_row,
+    read_csv,
+    write_csv,
+)
+from labdaemon.processing.target_search import locate_targets
 
 __all__ = [
     "ENVELOPE_COLUMNS",
+    "FILES",
     "MEASUREMENT_COLUMNS",
+    "NOT_FRAMES",
+    "RESULTS",
+    "BlurredTarget",
+    "Calibration",
     "CaptureResult",
+    "Charuco",
     "FolderResult",
+    "PreparedCamera",
     "Row",
     "SharpSet",
+    "Stamp",
     "WorkerPool",
+    "board_files",
+    "calibrate",
+    "calibrate_export",
+    "check_frame_sizes",
+    "csv_text",
+    "frame_shift",
+    "locate_targets",
     "measure_capture",
+    "measure_frames",
+    "measure_raw",
+    "measurement_row",
+    "name_dots",
+    "open_folder",
+    "prepare_camera",
+    "prepare_frames",
+    "prepare_patch_frames",
+    "prepare_patches",
     "prepare_sharp",
     "process_folder",
+    "read_board",
+    "read_control",
     "read_csv",
+    "read_targets",
+    "sharp_sets",
+    "stamps",
     "write_csv",
 ]

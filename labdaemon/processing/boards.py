@@ -11,13 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 from labdaemon.errors import DataError, UsageError
-from labdaemon.geometry.lattice import Node, apply_placement, grow_lattice, place_lattices
-from labdaemon.imaging.codes import dictionary
-from labdaemon.imaging.dots import find_dots
-from labdaemon.imaging.raw import read_frame
-from labdaemon.imaging.rings import find_rings
+from labdaemon.geometry import Node, apply_placement, grow_lattice, place_lattices
+from labdaemon.imaging import dictionary, find_dots, find_rings, read_frame
 
 Grey = NDArray[np.float32]
 

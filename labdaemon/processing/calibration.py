@@ -14,13 +14,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 from labdaemon.errors import DataError
-from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.network import Network, Pose
-from labdaemon.geometry.oriented_camera import rotation_from_vector
-from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors, select_observations
-from labdaemon.imaging.eccentricity import centre_shift
+from labdaemon.geometry import (
+    GrossError,
+    Lens,
+    Network,
+    Pose,
+    adjust_without_gross_errors,
+    rotation_from_vector,
+    select_observations,
+)
+from labdaemon.imaging import centre_shift
 from labdaemon.processing.boards import BoardImage, Charuco, charuco_image, sheet_dots, sheet_images
 
 SUFFIXES = frozenset(

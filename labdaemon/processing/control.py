@@ -8,13 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, make_textured_patch
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import Dot, FloatArray, Patch, SharpTarget, fit_sharp, make_textured_patch
 from labdaemon.errors import ConfigError, DataError
-from labdaemon.geometry.lens import Lens
-from labdaemon.imaging.codes import Tag, by_name, centre_of, families, find_tags
-from labdaemon.imaging.frame import Grey, RawFrame
-from labdaemon.imaging.rings import BITS, Ring, find_rings
+from labdaemon.geometry import Lens
+from labdaemon.imaging import BITS, Grey, RawFrame, Ring, Tag, by_name, centre_of, families, find_rings, find_tags
 from labdaemon.processing.thumbnails import Thumbnail
 
 TAG_FAMILY = "apriltag-36h11"

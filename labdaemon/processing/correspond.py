@@ -18,8 +18,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.geometry.oriented_camera import OrientedCamera
+from labdaemon.blur import FloatArray
+from labdaemon.geometry import OrientedCamera
 
 SD_PLACE_PX = 0.3
 """How well a dot's centre is known, orientation aside: lens model included."""

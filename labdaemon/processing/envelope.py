@@ -9,13 +9,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labdaemon.blur.motion import Measurement
-from labdaemon.blur.phase.signs import decide_sign
+from labdaemon.blur import Measurement, decide_sign
 from labdaemon.flags import Flag
-from labdaemon.geometry.motion import ImageMotion, ObjectMotion
-from labdaemon.geometry.oriented_camera import OrientedCamera
-from labdaemon.geometry.plane import compensate_camera_motion, map_motion_to_plane
-from labdaemon.geometry.space_intersection import intersect_targets
+from labdaemon.geometry import (
+    ImageMotion,
+    ObjectMotion,
+    OrientedCamera,
+    compensate_camera_motion,
+    intersect_targets,
+    map_motion_to_plane,
+)
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.sharpset import SharpSet

@@ -14,20 +14,18 @@ from labdaemon.blur import (
     Measurement,
     Patch,
     SharpTarget,
+    average_measurements,
+    failure_flags,
     find_relative_signs,
     measure_frame,
     measure_group,
+    measure_mccarthy2016,
+    solved,
 )
-from labdaemon.blur.average import average_measurements
-from labdaemon.blur.fit.refit import failure_flags
-from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
-from labdaemon.blur.unsolvable import solved
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
-from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motion
-from labdaemon.imaging.frame import RawFrame
-from labdaemon.imaging.lazy_image import LazyImage
-from labdaemon.imaging.raw import read_frame
+from labdaemon.geometry import CameraMotion, estimate_camera_motion
+from labdaemon.imaging import LazyImage, RawFrame, read_frame
 from labdaemon.processing.group import holds_phase, is_part
 from labdaemon.processing.matched_filter import BlurredTarget
 from labdaemon.processing.missing_targets import predict_missing

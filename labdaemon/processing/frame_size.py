@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labdaemon.errors import ConfigError, DataError, SetupError
-from labdaemon.imaging.raw import read_frame
+from labdaemon.imaging import read_frame
 from labdaemon.processing.rigfile import read_rig
 
 

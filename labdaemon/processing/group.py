@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from labdaemon.blur import ExposureWindow
-from labdaemon.blur.settings import MEASURE
+from labdaemon.blur import MEASURE, ExposureWindow
 
 
 def is_part(window: ExposureWindow) -> bool:

@@ -15,8 +15,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.lazy_image import GreyImage, LazyImage
+from labdaemon.blur import FloatArray
+from labdaemon.imaging import GreyImage, LazyImage
 
 GreyLike = GreyImage | LazyImage
 """An image, or one of which only the parts that are read are made."""

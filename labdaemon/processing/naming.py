@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.naming import match_names, names_by_place
+from labdaemon.blur import FloatArray
+from labdaemon.imaging import match_names, names_by_place
 from labdaemon.processing.correspond import DetectedDots
 
 

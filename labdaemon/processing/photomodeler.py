@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from labdaemon.errors import DataError
-from labdaemon.geometry.brown import forward_from_backward
-from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.network import Network
-from labdaemon.geometry.photomodeler_export import read_photomodeler
-from labdaemon.geometry.reliability import adjust_without_gross_errors, select_observations
+from labdaemon.geometry import (
+    Lens,
+    Network,
+    adjust_without_gross_errors,
+    forward_from_backward,
+    read_photomodeler,
+    select_observations,
+)
 from labdaemon.processing.calibration import MOST_GROSS_ERRORS, SD_PX, Calibration, left_out_line, weaknesses
 
 

@@ -8,18 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import Dot, Patch, SharpTarget, fit_sharp, make_textured_patch
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.settings import TEXTURE_MAP
-from labdaemon.blur.unsolvable import solved
+from labdaemon.blur import TEXTURE_MAP, Dot, FloatArray, Patch, SharpTarget, fit_sharp, make_textured_patch, solved
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
-from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.orient import Orientation, orient
-from labdaemon.geometry.oriented_camera import OrientedCamera
-from labdaemon.imaging.dots import find_dots
-from labdaemon.imaging.frame import RawFrame, mean_frame
-from labdaemon.imaging.raw import read_frame
+from labdaemon.geometry import Lens, Orientation, OrientedCamera, orient
+from labdaemon.imaging import RawFrame, find_dots, mean_frame, read_frame
 from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control
 from labdaemon.processing.naming import names_in_image
 from labdaemon.processing.survey import SurveyedPoint

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
-from labdaemon.geometry.lens import Lens
-from labdaemon.geometry.plane import Plane, fit_plane
+from labdaemon.geometry import Lens, Plane, fit_plane
 from labdaemon.processing.correspond import DetectedDots, correspond, intersect_rays
 from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
 from labdaemon.processing.naming import names_in_space, names_like, near_places

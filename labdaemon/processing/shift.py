@@ -7,11 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur import Defocus, InitialGuess, Patch, StaticMeasurement, estimate_frame_defocus, measure_static
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.unsolvable import solved
+from labdaemon.blur import (
+    Defocus,
+    FloatArray,
+    InitialGuess,
+    Patch,
+    StaticMeasurement,
+    estimate_frame_defocus,
+    measure_static,
+    solved,
+)
 from labdaemon.errors import DataError
-from labdaemon.imaging.frame import RawFrame
+from labdaemon.imaging import RawFrame
 from labdaemon.processing.control import ControlTargets, read_control_places
 from labdaemon.processing.matched_filter import GreyLike
 from labdaemon.processing.thumbnails import find_thumbnail

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur import FloatArray
 from labdaemon.errors import DataError
-from labdaemon.geometry.joint_orientation import ControlPoint, ImageObservation, orient_jointly
+from labdaemon.geometry import ControlPoint, ImageObservation, orient_jointly
 from labdaemon.processing.correspond import DetectedDots, correspond
 from labdaemon.processing.folder import DataFolder
 from labdaemon.processing.prepare import PreparedCamera

@@ -11,10 +11,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labdaemon.blur.motion import Measurement
+from labdaemon.blur import Measurement
 from labdaemon.durable import write_durably
 from labdaemon.flags import Flag
-from labdaemon.geometry.motion import ObjectMotion
+from labdaemon.geometry import ObjectMotion
 
 Value: TypeAlias = str | float | list[str] | None
 Row: TypeAlias = dict[str, Value]

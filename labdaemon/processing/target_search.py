@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.lazy_image import GreyImage, LazyImage
+from labdaemon.blur import FloatArray
+from labdaemon.imaging import GreyImage, LazyImage
 from labdaemon.processing.matched_filter import (
     BlurredTarget,
     GreyLike,

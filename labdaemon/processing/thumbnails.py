@@ -8,8 +8,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.imaging.lazy_image import GreyImage
+from labdaemon.blur import FloatArray
+from labdaemon.imaging import GreyImage
 from labdaemon.processing.matched_filter import GreyLike, reduce
 
 

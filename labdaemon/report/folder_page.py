@@ -10,8 +10,7 @@ from typing import Any
 import cv2
 
 from labdaemon.errors import ConfigError, DataError
-from labdaemon.processing.folder import NOT_FRAMES
-from labdaemon.processing.tables import Row, read_csv
+from labdaemon.processing import NOT_FRAMES, Row, read_csv
 from labdaemon.report.accuracy import Accuracy, compare
 from labdaemon.report.html import CaptureSection, PageImage, write_page
 from labdaemon.report.overlay import overlay_path

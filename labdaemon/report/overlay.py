@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.durable import write_durably
-from labdaemon.imaging.frame import Grey
-from labdaemon.imaging.raw import read_frame
+from labdaemon.imaging import Grey, read_frame
 from labdaemon.orbit_size import semi_major_axis
-from labdaemon.processing.run import FolderResult
-from labdaemon.processing.tables import Row
+from labdaemon.processing import FolderResult, Row
 
 MAGNIFICATION = 20.0
 WIDEST_PX = 1800

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.errors import UsageError
-from labdaemon.imaging.codes import dictionary
-from labdaemon.imaging.rings import code_book
+from labdaemon.imaging import code_book, dictionary
 from labdaemon.report.pdf import Page, pdf_bytes
 
 FORMATS_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}

@@ -227,7 +227,7 @@ def _check_driver(
 
 
 def _check_files(rig: RigConfig) -> None:
-    from labdaemon.processing.survey import read_control, read_targets
+    from labdaemon.processing import read_control, read_targets
 
     named = [("control.file", rig.control.file), ("targets.file", rig.targets.file)]
     named.append(("shaker.calibration", rig.shaker.calibration if rig.shaker else None))

@@ -9,9 +9,7 @@ from pathlib import Path
 from labdaemon.campaign.measurement_queue import CaptureRows
 from labdaemon.errors import ConfigError, DataError, LabdaemonError, SetupError
 from labdaemon.off_loop import off_loop
-from labdaemon.processing import SharpSet, WorkerPool, measure_capture, prepare_sharp
-from labdaemon.processing.folder import sharp_sets
-from labdaemon.processing.frame_size import check_frame_sizes
+from labdaemon.processing import SharpSet, WorkerPool, check_frame_sizes, measure_capture, prepare_sharp, sharp_sets
 from labdaemon.service.result_files import ResultFiles, captures_in, stamp
 
 SHARP_SETS_KEPT = 4

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from labdaemon.campaign.measurement_queue import CaptureRows, Rows
 from labdaemon.durable import append_durably, storage_error, whole_file
-from labdaemon.processing.results_place import FILES as NAMES
-from labdaemon.processing.results_place import RESULTS, Stamp, stamps
-from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, csv_text
+from labdaemon.processing import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, RESULTS, Stamp, csv_text, stamps
+from labdaemon.processing import FILES as NAMES
 
 FILES = tuple(zip(NAMES, (ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS), strict=True))
 
