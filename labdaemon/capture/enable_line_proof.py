@@ -7,6 +7,7 @@ on all the while, or it was not the line that ended the motion.
 
 from __future__ import annotations
 
+from labdaemon.capture.abilities import holds_enable_line, reports_amplifier
 from labdaemon.capture.rig import Rig
 from labdaemon.capture.settle import Excitation
 from labdaemon.capture.table import Table
@@ -31,9 +32,9 @@ def can_prove_enable_line(rig: Rig) -> bool:
 
     Whether a controller reports its amplifier is only known once it was asked: its driver says ``reports_amplifier``.
     """
-    if rig.shaker is None or rig.trigger is None or not getattr(rig.trigger.driver, "holds_enable", True):
+    if rig.shaker is None or rig.trigger is None or not holds_enable_line(rig.trigger.driver):
         return False
-    return rig.gauge("table") is not None or bool(getattr(rig.shaker.driver, "reports_amplifier", False))
+    return rig.gauge("table") is not None or reports_amplifier(rig.shaker.driver)
 
 
 async def prove_enable_line(rig: Rig, table: Table, clock: Clock, frequency_hz: float, largest_mm: float) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from functools import partial
 
+from labdaemon.capture.abilities import AmplitudeTrimmer
 from labdaemon.capture.devices import GaugeReading
 from labdaemon.capture.rig import Rig
 from labdaemon.capture.settle import Excitation, SettlingResult, ring_s, wait_settled
@@ -31,6 +33,11 @@ def displacement_mm(reading: GaugeReading, unit: str, frequency_hz: float) -> fl
     if unit == "m/s2":
         return 1000.0 * reading.value / (2.0 * math.pi * frequency_hz) ** 2
     return reading.value
+
+
+def _trim(driver: object, factor: float) -> None:
+    assert isinstance(driver, AmplitudeTrimmer)
+    driver.trim(factor)
 
 
 class Table:
@@ -101,10 +108,10 @@ class Table:
             ratio = self._table_ratio(settled, excitation)
             if ratio is None or abs(ratio - 1.0) <= TRIM_WITHIN:
                 break
-            trim = getattr(self._rig.shaker.driver, "trim", None)
-            if trim is None or trial == TRIM_TRIES or not 0.5 < ratio < 2.0:
+            trimmer: object = self._rig.shaker.driver
+            if not isinstance(trimmer, AmplitudeTrimmer) or trial == TRIM_TRIES or not 0.5 < ratio < 2.0:
                 break
-            await self._rig.shaker.call(lambda driver, trim=trim, ratio=ratio: trim(ratio))  # type: ignore[misc]
+            await self._rig.shaker.call(partial(_trim, factor=ratio))
         if ratio is not None and self._disagreement is not None and abs(ratio - 1.0) > self._disagreement:
             raise InterlockError(
                 f"table gauge reads {ratio * excitation.amplitude_mm:.3g} mm where {excitation.amplitude_mm:.3g} mm "

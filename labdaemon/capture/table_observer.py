@@ -6,6 +6,7 @@ import asyncio
 import math
 from typing import Literal
 
+from labdaemon.capture.abilities import holds_enable_line
 from labdaemon.capture.devices import GaugeReading, ShakerState
 from labdaemon.capture.rig import OBSERVE_S, Rig
 from labdaemon.capture.table_evidence import TableEvidence, TableState, gauge_sees_motion, judge
@@ -60,7 +61,7 @@ class TableObserver:
     def has_line(self) -> bool:
         """Whether a trigger device of ours holds an enable line."""
         trigger = self._rig.trigger
-        return trigger is not None and bool(getattr(trigger.driver, "holds_enable", True))
+        return trigger is not None and holds_enable_line(trigger.driver)
 
     def evidence(self) -> TableEvidence:
         """What was seen lately."""

@@ -13,6 +13,7 @@ from collections.abc import Awaitable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from labdaemon.capture.abilities import can_switch_off, reopens_wire
 from labdaemon.capture.rig import HARD_STOP_S, SOFT_STOP_S, DeviceHandle, Rig
 from labdaemon.capture.table_evidence import TableEvidence, describe, judge
 from labdaemon.capture.table_observer import TableObserver
@@ -109,7 +110,7 @@ async def bring_to_rest(
         by = "soft"
     while True:
         began_s = clock.monotonic()
-        if by is None or looks <= 0 or not getattr(shaker.driver, "can_switch_off", True):
+        if by is None or looks <= 0 or not can_switch_off(shaker.driver):
             by = await _stop_hard(rig, observer, troubles) or by
         looks -= 1
         evidence = await observer.look()
@@ -137,7 +138,7 @@ async def _stop_now(device: DeviceHandle[Any], how: Literal["stop_now", "drop_en
     try:
         await device.urgent(lambda driver: getattr(driver, how)(), HARD_STOP_S)
     except TransportError:
-        if getattr(device.driver, "reopens", False):
+        if reopens_wire(device.driver):
             raise
         await device.urgent(lambda driver: driver.connect(), CONNECT_S)
         await device.urgent(lambda driver: getattr(driver, how)(), HARD_STOP_S)

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.campaign.plan import PlanRig
+from labdaemon.capture.abilities import ExcitationChecker, SettingsSource
 from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
 from labdaemon.errors import ConfigError, LimitError
 from labdaemon.rig_sections import DriverSection, RigSections
@@ -150,10 +151,12 @@ def _build_shaker(rig: RigConfig) -> Any:
     return installed[rig.shaker.driver].load()("shaker", rig.shaker_settings())
 
 
-def _refusal(shaker: Any, frequency_hz: float, amplitude_mm: float) -> str | None:
+def _refusal(shaker: object, frequency_hz: float, amplitude_mm: float) -> str | None:
     """Why the driver would not set this. Its `check`, if it has one, sends nothing."""
+    if not isinstance(shaker, ExcitationChecker):
+        return None
     try:
-        getattr(shaker, "check", lambda frequency_hz, amplitude_mm: None)(frequency_hz, amplitude_mm)
+        shaker.check(frequency_hz, amplitude_mm)
     except LimitError as exc:
         return str(exc)
     return None
@@ -208,7 +211,7 @@ def _check_driver(
             raise ConfigError(
                 f"driver {entry.value} does not load: {type(exc).__name__}: {exc}", source=source, key=f"{key}.driver"
             ) from exc
-        known += sorted(getattr(driver, "SETTINGS", section.driver_keys))
+        known += sorted(driver.SETTINGS if isinstance(driver, SettingsSource) else section.driver_keys)
     for written in sorted(section.driver_keys - set(known)):
         near = nearest(written, known)
         hint = f"did you mean {near}?" if near else f"known keys are {', '.join(sorted(known))}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from labdaemon.capture.abilities import holds_enable_line, reports_amplifier
 from labdaemon.service.config import BUILT_IN, RigConfig, find_driver
 
 
@@ -20,9 +21,9 @@ def enable_line(rig: RigConfig) -> dict[str, bool] | None:
     holds, reports = False, False
     if rig.trigger.driver not in BUILT_IN["trigger"]:
         trigger: Any = find_driver("trigger", rig.trigger.driver).load()
-        holds = bool(getattr(trigger, "holds_enable", True))
+        holds = holds_enable_line(trigger)
         shaker: Any = find_driver("shaker", rig.shaker.driver).load()("shaker", rig.shaker_settings())
-        reports = bool(getattr(shaker, "reports_amplifier", False))
+        reports = reports_amplifier(shaker)
     sees = reports or any(gauge.role == "table" for gauge in rig.gauges)
     return {"can_be_proven": holds and sees, "accept_no_enable": rig.interlocks.accept_no_enable}
 
