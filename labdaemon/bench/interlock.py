@@ -26,7 +26,7 @@ from labdaemon.bench.kill import small_rig
 from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.interlock_monitor import InterlockMonitor
 from labdaemon.campaign.interlocks import InterlockLimits
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.settle import Excitation

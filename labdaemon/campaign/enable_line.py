@@ -14,7 +14,7 @@ from typing import Literal
 
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.steps import Plan, Step
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.enable_line_proof import LineUnproven, can_prove_enable_line, prove_enable_line
 from labdaemon.errors import DeviceError, InterlockError
 from labdaemon.stream.messages import WrongState

@@ -23,7 +23,7 @@ from labdaemon.campaign.reporter import RECORD_S, CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner, RetryPolicy
 from labdaemon.campaign.run_control import RunControl
 from labdaemon.campaign.steps import Plan, Step
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.table_stop import RestConfirmation
 from labdaemon.errors import ConfigError, InterlockError, LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions

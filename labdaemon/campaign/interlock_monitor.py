@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from labdaemon.campaign import interlocks
 from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.interlocks import GaugeSample, InterlockLimits
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.devices import Gauge
 from labdaemon.capture.rig import CALL_S, DeviceHandle
 from labdaemon.capture.table import displacement_mm

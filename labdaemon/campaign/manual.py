@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Coroutine
 from contextlib import aclosing
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from labdaemon.campaign.manual_measurements import ManualMeasurements
@@ -16,10 +15,11 @@ from labdaemon.campaign.manual_request import ManualRequest, capture_name
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.step_runner import StepRunner
 from labdaemon.campaign.table_motion import TableMotion, contradiction, observe_table
-from labdaemon.capture.capture import AcquisitionContext, take
-from labdaemon.capture.devices import CardFile, Firing
+from labdaemon.capture.context import AcquisitionContext
+from labdaemon.capture.external import ExternalRelease, ExternalReleases
 from labdaemon.capture.pairing import Arrivals
 from labdaemon.capture.paths import capture_folder
+from labdaemon.capture.request import CaptureRequest
 from labdaemon.durable import write_durably
 from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.journal import records, transitions
@@ -44,6 +44,41 @@ class ExpectedRelease:
     name: str
     until_s: float
     fired: asyncio.Future[CaptureRecord]
+
+
+@dataclass(frozen=True, slots=True)
+class ManualObserver:
+    """Follows one manual capture; see `labdaemon.capture.request.CaptureObserver`.
+
+    Attributes
+    ----------
+    captures
+        Knows the table gauge, and who measures the capture.
+    request
+        What was stated of it.
+    fired
+        Gets the opening; None where nobody waits for it.
+    """
+
+    captures: ManualCaptures
+    request: ManualRequest
+    fired: asyncio.Future[CaptureRecord] | None
+
+    def capture_started(self) -> None:
+        """Nothing interrupts a manual capture."""
+
+    def capture_fired(self, capture: CaptureRecord) -> None:
+        if self.fired is not None and not self.fired.done():
+            self.fired.set_result(capture)
+
+    async def describe(self, capture: CaptureRecord) -> CaptureRecord:
+        return await self.captures.describe(self.request, capture)
+
+    async def capture_stored(self, capture: CaptureRecord) -> None:
+        await self.captures.measurements.stored(capture)
+
+    def capture_ended(self) -> None:
+        """Nothing waits for its end."""
 
 
 class ManualCaptures:
@@ -124,19 +159,9 @@ class ManualCaptures:
     async def listen(self, campaign: str | None) -> None:
         """Keep every capture that an outside system fires, until cancelled; one that has come is kept all the same."""
         id = await self.measurements.open(campaign)
-        runner = StepRunner(
-            self._context,
-            id,
-            self.measurements.stored,
-            lambda: None,
-            lambda: None,
-            window_s=self._window_s,
-            arrivals=self._arrivals,
-            turn=self.turn,
-        )
-        async with aclosing(runner.releases(None)) as releases:
-            async for firing, files in releases:
-                await asyncio.shield(self._start(self._keep(runner, firing, files)))
+        async with aclosing(ExternalReleases(self._context, id, self._arrivals, self.turn).until(None)) as releases:
+            async for release in releases:
+                await asyncio.shield(self._start(self._keep(id, release)))
 
     async def finish(self) -> None:
         """Wait for captures that are still being stored."""
@@ -147,15 +172,8 @@ class ManualCaptures:
         id = await self.measurements.open(campaign)
         exposure_s = request.exposure_s or self.exposure_s
         try:
-            await take(
-                self._context,
-                self._order(request, id, self._free_name(id, request.label), exposure_s),
-                None,
-                measure=self.measurements.stored,
-                request_id=request.request_id,
-                fired=fired.set_result,
-                describe=partial(self._describe, request),
-            )
+            capture_request = self._request(request, id, self._free_name(id, request.label), exposure_s)
+            await StepRunner(self._context, id, ManualObserver(self, request, fired)).capture(capture_request)
         except LabdaemonError as exc:
             if not fired.done():
                 fired.set_exception(exc)
@@ -180,28 +198,19 @@ class ManualCaptures:
         await asyncio.wait([expected.fired], timeout=ANSWER_S)
         if expected.fired.done():
             return expected.fired.result()
-        return self._order(request, expected.campaign, expected.name, request.exposure_s or UNKNOWN_EXPOSURE_S)
+        return self._request(
+            request, expected.campaign, expected.name, request.exposure_s or UNKNOWN_EXPOSURE_S
+        ).intended()
 
-    async def _keep(self, runner: StepRunner, firing: Firing | None, files: dict[str, CardFile]) -> None:
+    async def _keep(self, campaign: str, release: ExternalRelease) -> None:
         """Store an outside release as the capture that was asked for, or as one that was not announced."""
         self._drop_late(self._context.clock.monotonic())
         expected = self._expected.popleft() if self._expected else None
         request = expected.request if expected is not None else ManualRequest("outside")
-        name = expected.name if expected is not None else self._free_name(runner.campaign, request.label)
-        order = self._order(request, runner.campaign, name, request.exposure_s or UNKNOWN_EXPOSURE_S)
-
-        def fired(capture: CaptureRecord) -> None:
-            if expected is not None and not expected.fired.done():
-                expected.fired.set_result(capture)
-
-        await runner.keep_outside(
-            order,
-            firing,
-            files,
-            request_id=request.request_id,
-            fired=fired,
-            describe=partial(self._describe, request),
-        )
+        name = expected.name if expected is not None else self._free_name(campaign, request.label)
+        observer = ManualObserver(self, request, expected.fired if expected is not None else None)
+        capture_request = self._request(request, campaign, name, request.exposure_s or UNKNOWN_EXPOSURE_S)
+        await StepRunner(self._context, campaign, observer).store_release(capture_request, release)
 
     def _drop_late(self, now_s: float) -> None:
         while self._expected and self._expected[0].until_s < now_s:
@@ -216,14 +225,14 @@ class ManualCaptures:
             number += 1
         return name
 
-    def _order(self, request: ManualRequest, campaign: str, name: str, exposure_s: float) -> CaptureRecord:
+    def _request(self, request: ManualRequest, campaign: str, name: str, exposure_s: float) -> CaptureRequest:
         """The capture to be. What was stated comes first, then what our own shaker was set to."""
         own = self._context.table.excitation
         frequency_hz, amplitude_mm = request.frequency_hz, request.amplitude_mm
         if own is not None:
             frequency_hz = own.frequency_hz if frequency_hz is None else frequency_hz
             amplitude_mm = own.amplitude_mm if amplitude_mm is None else amplitude_mm
-        return CaptureRecord(
+        return CaptureRequest(
             campaign=campaign,
             name=name,
             step=NO_STEP,
@@ -231,21 +240,16 @@ class ManualCaptures:
             label=request.label or name,
             is_sharp=request.is_sharp,
             sharp=name if request.is_sharp else self.measurements.sharp_of(campaign, request.group),
-            grouped=request.group,
-            state="intended",
+            group=request.group,
             frequency_hz=frequency_hz,
             amplitude_mm=amplitude_mm,
             exposure_s=exposure_s,
-            opened_at=None,
-            opening_s={},
-            phase_rad=request.phase_rad,
-            sd_phase_rad=None,
             cameras=tuple(self._context.rig.cameras),
-            files={},
-            reason=None,
+            stated_phase_rad=request.phase_rad,
+            request_id=request.request_id,
         )
 
-    async def _describe(self, request: ManualRequest, capture: CaptureRecord) -> CaptureRecord:
+    async def describe(self, request: ManualRequest, capture: CaptureRecord) -> CaptureRecord:
         """Take frequency and amplitude from the table gauge where they were not stated, and compare where they were."""
         if self._context.table.excitation is not None:
             return capture

@@ -11,7 +11,7 @@ from typing import Any
 from labdaemon.campaign.folder import renew_folder
 from labdaemon.campaign.measurement_queue import MeasurementQueue
 from labdaemon.campaign.reporter import CampaignReporter
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.paths import capture_folder, capture_toml
 from labdaemon.durable import write_durably
 from labdaemon.errors import LabdaemonError, UsageError

@@ -10,7 +10,7 @@ from typing import Any
 from labdaemon.campaign.manual import ManualCaptures
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner, RetryPolicy
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.errors import LabdaemonError
 
 

@@ -17,11 +17,12 @@ from labdaemon.campaign.run_control import RunControl, StepInterruption
 from labdaemon.campaign.step_runner import StepRunner
 from labdaemon.campaign.steps import Step
 from labdaemon.campaign.time_of_day import POLL_S, wait_s
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.recover import reconnect_suspects, recover
 from labdaemon.capture.table_stop import RestConfirmation
 from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, SetupError, StorageUnavailable
 from labdaemon.journal import transitions
+from labdaemon.journal.records import CaptureRecord
 
 MAX_BACKOFF_S = 60.0
 
@@ -56,6 +57,38 @@ class RetryPolicy:
     def pause_s(self, failures: int) -> float:
         """Wait after this many failures in a row."""
         return float(min(self.backoff_s * 2.0 ** (failures - 1), MAX_BACKOFF_S))
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignObserver:
+    """Follows a campaign's captures; see `labdaemon.capture.request.CaptureObserver`.
+
+    Attributes
+    ----------
+    control
+        Learns when a step must not be interrupted.
+    queue
+        Takes stored captures over.
+    """
+
+    control: RunControl
+    queue: MeasurementQueue
+
+    def capture_started(self) -> None:
+        self.control.capture_started()
+
+    def capture_fired(self, capture: CaptureRecord) -> None:
+        """The journal has it."""
+
+    async def describe(self, capture: CaptureRecord) -> CaptureRecord:
+        """The plan has stated everything."""
+        return capture
+
+    async def capture_stored(self, capture: CaptureRecord) -> None:
+        await self.queue.add(capture)
+
+    def capture_ended(self) -> None:
+        self.control.capture_ended()
 
 
 class RetryingStepRunner:
@@ -167,14 +200,8 @@ class RetryingStepRunner:
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
         await write(transitions.start_step, campaign, step.index, {**told, **excitation})
         control = self._control
-        runner = StepRunner(
-            self._context,
-            campaign,
-            self._queue.add,
-            control.capture_started,
-            control.capture_ended,
-            window_s=self._policy.window_s,
-        )
+        observer = CampaignObserver(control, self._queue)
+        runner = StepRunner(self._context, campaign, observer, window_s=self._policy.window_s)
         await control.run_step(self._catch_up_and_run(runner, step), monitor)
         await write(transitions.end_step, campaign, step.index, told)
 

@@ -10,8 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from labdaemon.capture.capture import AcquisitionContext, complete
+from labdaemon.capture.acquisition import complete
 from labdaemon.capture.collect import clear_card, identity, is_known, store
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.inspect_file import inspect
 from labdaemon.capture.own_frames import LIST_S, set_aside, unexplained

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
-from labdaemon.capture.capture import CameraOverrides
+from labdaemon.capture.context import CameraOverrides
 from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.errors import DeviceError

@@ -19,7 +19,7 @@ from labdaemon.campaign.measurement_queue import MeasurementQueue
 from labdaemon.campaign.plan import make_plan
 from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.campaign.steps import Plan
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable

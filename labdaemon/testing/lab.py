@@ -15,7 +15,7 @@ from labdaemon.campaign.measurement_queue import CaptureRows, MeasurementQueue
 from labdaemon.campaign.plan import PlanRig, make_plan
 from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.campaign.steps import Plan
-from labdaemon.capture.capture import AcquisitionContext
+from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.device_executor import InlineExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.table import Table

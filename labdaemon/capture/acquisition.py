@@ -1,17 +1,18 @@
-"""One capture, from the table's excitation to stored frames: its whole journey is `take`, top to bottom."""
+"""One capture, from the table's excitation to stored frames: its whole journey is `acquire`, top to bottom."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from labdaemon.capture.collect import identity, store
+from labdaemon.capture.context import AcquisitionContext, CameraOverrides
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
 from labdaemon.capture.gather import gather_to_completion
-from labdaemon.capture.own_frames import FrameContext, clock_offsets, load_clocks, prepare_cameras, wait_own
-from labdaemon.capture.pairing import CameraClocks, Opening
+from labdaemon.capture.own_frames import clock_offsets, prepare_cameras, wait_own
+from labdaemon.capture.pairing import Opening
 from labdaemon.capture.paths import (
     capture_folder,
     capture_toml,
@@ -19,11 +20,9 @@ from labdaemon.capture.paths import (
     opening_phase,
     with_opening,
 )
-from labdaemon.capture.recorder import Recorder
-from labdaemon.capture.rig import CALL_S, Rig
-from labdaemon.capture.settle import Excitation
-from labdaemon.capture.table import Table
-from labdaemon.clock import Clock, rfc3339
+from labdaemon.capture.request import CaptureObserver, CaptureRequest
+from labdaemon.capture.rig import CALL_S
+from labdaemon.clock import rfc3339
 from labdaemon.durable import write_durably
 from labdaemon.errors import DataError, DeviceError, DeviceRefused, InterlockError
 from labdaemon.journal import card_records, transitions
@@ -35,97 +34,17 @@ EXPOSURE_WITHIN = 0.09
 steps in round figures (1.3 s for 1.26 s); the next step of a third of a stop is 26 % away."""
 
 
-@dataclass(frozen=True, slots=True)
-class CameraOverrides:
-    """What the rig file sets on a body besides the exposure; None leaves it to the body's dials."""
-
-    f_number: float | None = None
-    iso: int | None = None
-
-
-@dataclass(slots=True)
-class AcquisitionContext:
-    """Everything a capture is taken with.
-
-    Attributes
-    ----------
-    data
-        The data folder.
-    cameras
-        Settings by camera name.
-    camera_timeout_s
-        A frame that has not come this long after twice its exposure is late.
-    clocks
-        What is known of the cameras' clocks, from the journal at first.
-    exposures_s
-        What each body is set to now.
-    suspect_devices
-        Names of devices that a fault was put down to, and that nobody has heard of since.
-    partial_files_removed
-        Whether the data folder was cleared of what an earlier run left half written.
-    """
-
-    rig: Rig
-    table: Table
-    recorder: Recorder
-    clock: Clock
-    data: Path
-    cameras: Mapping[str, CameraOverrides] = field(default_factory=dict)
-    camera_timeout_s: float = 30.0
-    clocks: CameraClocks = field(default_factory=CameraClocks)
-    exposures_s: dict[str, float] = field(default_factory=dict)
-    suspect_devices: set[str] = field(default_factory=set)
-    partial_files_removed: bool = False
-    frames: FrameContext = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.frames = FrameContext(
-            self.rig, self.recorder, self.clock, self.data, self.clocks, lambda: self.camera_timeout_s
-        )
-        load_clocks(self.frames)
-
-
-Fired = Callable[[CaptureRecord], None]
-Stored = Callable[[CaptureRecord], Awaitable[None]]
-Describe = Callable[[CaptureRecord], Awaitable[CaptureRecord]]
-
-
-async def take(
-    context: AcquisitionContext,
-    order: CaptureRecord,
-    excitation: Excitation | None,
-    *,
-    measure: Stored,
-    phase_rad: float | None = None,
-    request_id: str | None = None,
-    begun: Callable[[], None] = lambda: None,
-    fired: Fired = lambda capture: None,
-    describe: Describe | None = None,
-) -> CaptureRecord:
+async def acquire(context: AcquisitionContext, request: CaptureRequest, observer: CaptureObserver) -> CaptureRecord:
     """Take one capture.
 
     Parameters
     ----------
     context
         What it is taken with.
-    order
-        What it is to be; its name is new to the journal.
-    excitation
-        What the table is brought to first; None to leave it as it is.
-    measure
-        Takes the stored capture over and publishes its envelope in its own time. It is awaited, so a full queue
-        makes the table wait.
-    phase_rad
-        Excitation phase at which to open, None for any.
-    request_id
-        Of the request that asked for it, answered in the journal once fired.
-    begun
-        Called when the shutters are about to be fired: from then on it is worth seeing to its end.
-    fired
-        Called once the shutters have opened and the journal knows.
-
-    describe
-        Finds out, once the shutters have closed, what nobody stated of the excitation.
+    request
+        What it is to be.
+    observer
+        Learns of each stage, and takes the stored capture over.
 
     Returns
     -------
@@ -137,30 +56,29 @@ async def take(
     DeviceError, DataError, InterlockError
         It came to nothing. Whatever it left, on cards and in the journal, is for `labdaemon.capture.recover`.
     """
-    if excitation is not None:
-        await context.table.shake(excitation)
-    await _expose_for(context, order.exposure_s)
+    if request.excitation is not None:
+        await context.table.shake(request.excitation)
+    await _expose_for(context, request.exposure_s)
     seen = await prepare_cameras(context.frames)
 
-    begun()
-    await context.recorder.write(transitions.intend_capture, order)
-    capture, opened_s = await _fire(context, order, phase_rad, request_id)
-    fired(capture)
+    observer.capture_started()
+    await context.recorder.write(transitions.intend_capture, request.intended())
+    capture, opened_s = await _fire(context, request)
+    observer.capture_fired(capture)
 
     opening = Opening(capture.campaign, capture.name, opened_s, capture.exposure_s)
     files = await wait_own(context.frames, opening, seen)
     await context.table.confirm()
-    if excitation is not None and context.table.excitation != excitation:
+    if request.excitation is not None and context.table.excitation != request.excitation:
         raise InterlockError("the table was stopped during the exposure")
-    if describe is not None:
-        capture = await describe(capture)
+    capture = await observer.describe(capture)
 
-    capture = await keep(context, capture, files, opening)
-    await measure(capture)
+    capture = await store_frames(context, capture, files, opening)
+    await observer.capture_stored(capture)
     return capture
 
 
-async def keep(
+async def store_frames(
     context: AcquisitionContext, capture: CaptureRecord, files: Mapping[str, CardFile], opening: Opening | None = None
 ) -> CaptureRecord:
     """Store one file a camera as this capture's frames, which the journal then vouches for.
@@ -204,11 +122,11 @@ async def _read_exposure(
 
 
 async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
-    """Every frame is stored: write what measuring needs beside them, and tell."""
+    """Every frame is stored: write what measuring needs next to them, and publish."""
     if not capture.is_sharp:
         path = capture_folder(context.data, capture) / "capture.toml"
         await context.recorder.on_disk(write_durably, path, capture_toml(capture))
-    told = {
+    payload = {
         "step": capture.step if capture.step >= 0 else None,
         "label": capture.label,
         "sharp": capture.is_sharp,
@@ -223,7 +141,7 @@ async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: 
             for frame in frames
         ],
     }
-    await context.recorder.write(transitions.complete_capture, capture.campaign, capture.name, told)
+    await context.recorder.write(transitions.complete_capture, capture.campaign, capture.name, payload)
     return replace(capture, state="stored")
 
 
@@ -232,10 +150,10 @@ async def _expose_for(context: AcquisitionContext, exposure_s: float) -> None:
     for name, camera in context.rig.cameras.items():
         if context.exposures_s.get(name) == exposure_s:
             continue
-        choice = context.cameras.get(name, CameraOverrides())
+        overrides = context.cameras.get(name, CameraOverrides())
         own_s = await camera.call(
-            lambda driver, choice=choice: driver.configure(  # type: ignore[misc]
-                exposure_s=exposure_s, f_number=choice.f_number, iso=choice.iso
+            lambda driver, overrides=overrides: driver.configure(  # type: ignore[misc]
+                exposure_s=exposure_s, f_number=overrides.f_number, iso=overrides.iso
             )
         )
         if abs(own_s - exposure_s) > EXPOSURE_WITHIN * exposure_s:
@@ -245,33 +163,34 @@ async def _expose_for(context: AcquisitionContext, exposure_s: float) -> None:
         context.exposures_s[name] = exposure_s
 
 
-async def _fire(
-    context: AcquisitionContext, order: CaptureRecord, phase_rad: float | None, request_id: str | None
-) -> tuple[CaptureRecord, float]:
+async def _fire(context: AcquisitionContext, request: CaptureRequest) -> tuple[CaptureRecord, float]:
     """Release the shutters; the capture with its opening, and the opening on the host's monotonic clock."""
     if context.rig.trigger is None:
         raise DeviceError("shutters are released by an outside system; use a phase of kind external", device="trigger")
     try:
         firing = await context.rig.trigger.call(
-            lambda driver: driver.fire(order.exposure_s, frequency_hz=order.frequency_hz, phase_rad=phase_rad),
-            order.exposure_s + CALL_S,
+            lambda driver: driver.fire(
+                request.exposure_s, frequency_hz=request.frequency_hz, phase_rad=request.trigger_phase_rad
+            ),
+            request.exposure_s + CALL_S,
         )
     except DeviceRefused:
-        for camera in order.cameras:  # nothing was released, so no camera owes a file
-            this = OwedFile(camera, order.campaign, order.name, "", order.exposure_s)
+        for camera in request.cameras:  # nothing was released, so no camera owes a file
+            this = OwedFile(camera, request.campaign, request.name, "", request.exposure_s)
             await context.recorder.write(card_records.forget_owed, camera, [this])
         raise
     opened_s = context.clock.monotonic()
-    capture = with_opening(order, rfc3339(firing.opened_at), firing.opening_s, firing.phase_rad, firing.sd_phase_rad)
+    opened_at = rfc3339(firing.opened_at)
+    capture = with_opening(request.intended(), opened_at, firing.opening_s, firing.phase_rad, firing.sd_phase_rad)
     await context.recorder.write(
         transitions.fire_capture,
         capture.campaign,
         capture.name,
-        opened_at=rfc3339(firing.opened_at),
+        opened_at=opened_at,
         opening_s=capture.opening_s,
         phase_rad=capture.phase_rad,
         sd_phase_rad=capture.sd_phase_rad,
-        request_id=request_id,
+        request_id=request.request_id,
     )
     return capture, opened_s
 
