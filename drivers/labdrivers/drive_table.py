@@ -15,12 +15,12 @@ from pathlib import Path
 from pydantic import Field
 
 from labdaemon.errors import ConfigError, LimitError
-from labdrivers.settings import Settings
+from labdrivers.settings import DriverSettings
 
 CSV_HEADER = ("frequency_hz", "mm_per_v")
 
 
-class DrivePoint(Settings):
+class DrivePoint(DriverSettings):
     """Amplitude of the table (mm) for each volt at the generator, both zero to peak, at one frequency."""
 
     frequency_hz: float = Field(gt=0)

@@ -207,7 +207,7 @@ class ScpiShaker:
             Rest is not confirmed: use `stop_now` and drop the enable line.
         """
         self._halt.set()
-        with self._link.in_haste(STOP_ANSWER_S):
+        with self._link.limit_waits(STOP_ANSWER_S):
             with suppress(DeviceError):  # what matters is the output, and that is switched off and confirmed below
                 self._ramp_down()
             self._link.tell_at_once(self._off_command)
@@ -224,7 +224,7 @@ class ScpiShaker:
             The output was not confirmed off.
         """
         self._halt.set()
-        with self._link.in_haste(STOP_ANSWER_S):
+        with self._link.limit_waits(STOP_ANSWER_S):
             try:
                 self._off_at_once()
                 self._switch_off()

@@ -19,7 +19,7 @@ from typing import Literal
 
 from pydantic import field_validator
 
-from labdrivers.settings import Settings
+from labdrivers.settings import DriverSettings
 
 Dialect = Literal["keysight", "33120a"]
 
@@ -38,7 +38,7 @@ LEVELS: dict[str, Callable[[float, float], float]] = {
 The bare volt is zero to peak too."""
 
 
-class ScpiCommands(Settings):
+class ScpiCommands(DriverSettings):
     """Every line that the driver ever sends. An empty string means that the controller has no such command."""
 
     identify: str = "*IDN?"

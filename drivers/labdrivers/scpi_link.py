@@ -41,7 +41,7 @@ class ScpiLink:
         self._lock = threading.RLock()
         self._dirty = False
         self._identity: str | None = None
-        self._haste = threading.local()
+        self._wait_limit = threading.local()
 
     @property
     def device(self) -> str:
@@ -57,7 +57,7 @@ class ScpiLink:
         TransportError
             In haste only: another thread's exchange does not end.
         """
-        haste_s = self._haste_s
+        haste_s = self._wait_limit_s
         if not self._lock.acquire(timeout=-1 if haste_s is None else haste_s):
             raise TransportError("is busy with an exchange that does not end", device=self.device)
         try:
@@ -66,13 +66,13 @@ class ScpiLink:
             self._lock.release()
 
     @contextmanager
-    def in_haste(self, timeout_s: float) -> Iterator[None]:
+    def limit_waits(self, timeout_s: float) -> Iterator[None]:
         """Let this thread's exchanges wait no longer than this for an answer, or for their turn: for stopping."""
-        before, self._haste.timeout_s = self._haste_s, min(timeout_s, self._line.settings.timeout_s)
+        before, self._wait_limit.timeout_s = self._wait_limit_s, min(timeout_s, self._line.settings.timeout_s)
         try:
             yield
         finally:
-            self._haste.timeout_s = before
+            self._wait_limit.timeout_s = before
 
     def reopen(self) -> None:
         """Open a wire that broke, or that gave no answer, anew. What waits on the old one ends with an error.
@@ -100,7 +100,7 @@ class ScpiLink:
             self._line.discard()
             before: str | None = None
             fault: DeviceError | None = None
-            for _ in range(IDENTITY_TRIES if self._haste_s is None else HASTY_TRIES):
+            for _ in range(IDENTITY_TRIES if self._wait_limit_s is None else HASTY_TRIES):
                 try:
                     answer = self._ask(self._commands.identify)
                 except (TransportError, ProtocolError) as exc:
@@ -117,7 +117,7 @@ class ScpiLink:
 
     def tell(self, command: str) -> None:
         """Send a setting; wait for its acknowledgement if the controller gives one."""
-        with self.exclusive(), self._watched():
+        with self.exclusive(), self._note_faults():
             self._resync()
             self._line.write(command.encode("ascii") + b"\n")
             if self._commands.acknowledge:
@@ -135,7 +135,7 @@ class ScpiLink:
 
     def ask(self, question: str) -> str:
         """One question, one line of answer."""
-        with self.exclusive(), self._watched():
+        with self.exclusive(), self._note_faults():
             self._resync()
             return self._ask(question)
 
@@ -225,18 +225,18 @@ class ScpiLink:
         )
 
     @property
-    def _haste_s(self) -> float | None:
+    def _wait_limit_s(self) -> float | None:
         """Longest wait of this thread's exchanges where it is in haste."""
-        found: float | None = getattr(self._haste, "timeout_s", None)
+        found: float | None = getattr(self._wait_limit, "timeout_s", None)
         return found
 
     @property
     def _timeout_s(self) -> float:
-        haste_s = self._haste_s
+        haste_s = self._wait_limit_s
         return self._line.settings.timeout_s if haste_s is None else haste_s
 
     @contextmanager
-    def _watched(self) -> Iterator[None]:
+    def _note_faults(self) -> Iterator[None]:
         try:
             yield
         except DeviceError:

@@ -26,7 +26,7 @@ import serial
 from pydantic import Field
 
 from labdaemon.errors import ConfigError, ProtocolError, TransportError
-from labdrivers.settings import Settings
+from labdrivers.settings import DriverSettings
 
 URL_GROUP = "labdaemon.serial_urls"
 TICK_S = 0.02
@@ -34,7 +34,7 @@ TICK_S = 0.02
 OPEN_FAULTS = (serial.SerialException, OSError, termios.error)
 
 
-class PortSettings(Settings):
+class PortSettings(DriverSettings):
     """Keys that every driver on a serial line shares."""
 
     port: str = Field(min_length=1)
@@ -139,29 +139,29 @@ class SerialLine:
     def write(self, data: bytes) -> None:
         """Send bytes whole, never interleaved with another thread's."""
         with self._write_lock, self._faults("writing"):
-            port = self._opened()
+            port = self._open_port()
             port.write(data)
             port.flush()
 
     def check_open(self) -> None:
         """Raise `TransportError` if the port is not open."""
-        self._opened()
+        self._open_port()
 
     def set_rts(self, level: bool) -> None:
         """Set the RTS line."""
         with self._faults("setting RTS"):
-            self._opened().rts = level
+            self._open_port().rts = level
 
     def input_line(self, which: Literal["cts", "dsr"]) -> bool:
         """State of an input line."""
         with self._faults(f"reading {which.upper()}"):
-            port = self._opened()
+            port = self._open_port()
             return bool(port.cts if which == "cts" else port.dsr)
 
     def read_block(self, most: int) -> bytes:
         """What arrives within one tick, in one call: for streams, where a wake-up per byte would cost too much."""
         with self._faults("reading"):
-            taken = bytes(self._buffer) + bytes(self._opened().read(most))
+            taken = bytes(self._buffer) + bytes(self._open_port().read(most))
             self._buffer.clear()
             return taken
 
@@ -180,7 +180,7 @@ class SerialLine:
         ProtocolError
             More than `longest_line` bytes came without an end of line (and were thrown away).
         """
-        port = self._opened()
+        port = self._open_port()
         while True:
             while (end := self._buffer.find(b"\n")) >= 0:
                 line = bytes(self._buffer[:end]).strip(b"\r\x00")
@@ -204,7 +204,7 @@ class SerialLine:
 
     def discard(self, *, quiet_s: float = 0.05, limit_s: float = 0.5) -> bytes:
         """Throw away what comes until the line was quiet for `quiet_s`, for at most `limit_s`; return it for logs."""
-        port = self._opened()
+        port = self._open_port()
         thrown = bytearray(self._buffer)
         self._buffer.clear()
         end = time.monotonic() + limit_s
@@ -228,7 +228,7 @@ class SerialLine:
                 if waiting:
                     self._buffer += port.read(waiting)
 
-    def _opened(self) -> serial.Serial:
+    def _open_port(self) -> serial.Serial:
         if self._port is None:
             raise TransportError("not connected; connect first", device=self.device)
         return self._port

@@ -10,13 +10,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from labdaemon.errors import ConfigError
 
 
-class Settings(BaseModel):
+class DriverSettings(BaseModel):
     """Base of all drivers' settings: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-S = TypeVar("S", bound=Settings)
+S = TypeVar("S", bound=DriverSettings)
 
 
 def read_settings(model: type[S], section: Mapping[str, Any], *, key: str, ignore: frozenset[str] = frozenset()) -> S:

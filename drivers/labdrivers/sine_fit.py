@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Sine:
+class SineFit:
     """A fitted sine ``amplitude · sin(ωt + phase_rad) + offset``.
 
     Attributes
@@ -42,7 +42,7 @@ class Sine:
         return np.asarray(self.amplitude * np.sin(2 * math.pi * frequency_hz * t_s + self.phase_rad) + self.offset)
 
 
-def fit_sine(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> Sine:
+def fit_sine(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> SineFit:
     """Fit a sine of known frequency (IEEE 1057, three parameters).
 
     Parameters
@@ -62,7 +62,7 @@ def fit_sine(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> Sine:
     covariance = variance * np.linalg.pinv(design.T @ design)
     direction = np.array([s, c, 0.0]) / amplitude if amplitude > 0 else np.array([1.0, 0.0, 0.0])
     sd = math.sqrt(max(0.0, float(direction @ covariance @ direction)))
-    return Sine(amplitude, sd, math.atan2(c, s), offset, math.sqrt(variance))
+    return SineFit(amplitude, sd, math.atan2(c, s), offset, math.sqrt(variance))
 
 
 def change_per_cycle(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> float:
@@ -85,7 +85,7 @@ def change_per_cycle(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> flo
 
 
 @dataclass(frozen=True, slots=True)
-class FreeSine:
+class FreeSineFit:
     """A fitted sine whose frequency was fitted too.
 
     Attributes
@@ -100,7 +100,7 @@ class FreeSine:
 
     frequency_hz: float
     sd_frequency_hz: float
-    sine: Sine
+    sine: SineFit
     is_significant: bool
 
 
@@ -111,7 +111,7 @@ LEAST_CYCLES = 1.5
 ITERATIONS = 20
 
 
-def fit_free_sine(t_s: FloatArray, y: FloatArray) -> FreeSine:
+def fit_free_sine(t_s: FloatArray, y: FloatArray) -> FreeSineFit:
     """Fit a sine of unknown frequency (IEEE 1057, four parameters).
 
     The highest peak of the zero-padded spectrum is the start; then frequency, amplitude, phase and offset are improved
@@ -145,7 +145,7 @@ def fit_free_sine(t_s: FloatArray, y: FloatArray) -> FreeSine:
     # The periodogram of white noise is exponentially distributed; the highest of n/2 independent values is looked at.
     power = y.size * sine.amplitude**2 / (4.0 * sine.residual_rms**2) if sine.residual_rms > 0 else math.inf
     stands_out = sine.amplitude > 1e-12 * float(np.abs(y).max()) and power > math.log(y.size / 2.0 / FALSE_ALARM)
-    return FreeSine(frequency_hz, math.sqrt(max(0.0, float(covariance[3, 3]))), sine, stands_out)
+    return FreeSineFit(frequency_hz, math.sqrt(max(0.0, float(covariance[3, 3]))), sine, stands_out)
 
 
 def _spectral_peak(y: FloatArray, step_s: float) -> float:
@@ -165,7 +165,7 @@ def _frequency_step(t_s: FloatArray, y: FloatArray, frequency_hz: float) -> floa
     return float(solution[3])
 
 
-def _free_design(t_s: FloatArray, frequency_hz: float, sine: Sine) -> FloatArray:
+def _free_design(t_s: FloatArray, frequency_hz: float, sine: SineFit) -> FloatArray:
     """(n, 4) derivatives by the sine's and cosine's parts, offset and frequency."""
     angle = 2 * math.pi * frequency_hz * t_s
     by_frequency = 2 * math.pi * t_s * sine.amplitude * np.cos(angle + sine.phase_rad)

@@ -50,7 +50,7 @@ LONGEST_HOLD_MS = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class WireMessage:
     """A line that passed its checksum: sequence number and the words after it."""
 
     sequence: int
@@ -63,7 +63,7 @@ def encode(start: str, sequence: int, text: str) -> bytes:
     return f"{start}{body}*{binascii.crc_hqx(body.encode('ascii'), 0):04X}\n".encode("ascii")
 
 
-def decode(start: str, line: bytes) -> Frame | None:
+def decode(start: str, line: bytes) -> WireMessage | None:
     """The frame in a line (its end removed), None if it is not one or its checksum is wrong."""
     head, separator, check = line.strip().partition(b"*")
     if not separator or not head.startswith(start.encode("ascii")) or len(check) != 4:
@@ -78,7 +78,7 @@ def decode(start: str, line: bytes) -> Frame | None:
         return None
     if not 0 < sequence <= LAST_SEQUENCE:
         return None
-    return Frame(sequence, tuple(words[1:]))
+    return WireMessage(sequence, tuple(words[1:]))
 
 
 def elapsed_us(later: int, earlier: int) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from labdaemon.bench.bound import BoundTable, ImageNoise, bound_table
-from labdaemon.bench.cases import BASE, Case, cases
+from labdaemon.bench.cases import BASE, AccuracyCase, cases
 from labdaemon.bench.pairs import MotionComparison, pair_up, read_truth
 from labdaemon.bench.simulator import folder_maker, renderer
 from labdaemon.processing import WorkerPool, process_folder
@@ -32,7 +32,7 @@ class CaseResult:
         Pairs by our method, and by the published one (None where it was not run).
     """
 
-    case: Case
+    case: AccuracyCase
     ours: list[MotionComparison]
     published: list[MotionComparison] | None = None
 
@@ -115,7 +115,7 @@ def run_accuracy(
     return AccuracyResult(seeds, results, bounds)
 
 
-def render_case(case: Case, seed: int, folder: Path) -> Path:
+def render_case(case: AccuracyCase, seed: int, folder: Path) -> Path:
     """Render one case; a worker's task."""
     return folder_maker()(folder, **case.folder_options(seed))
 

@@ -29,7 +29,7 @@ SIGN_CYCLES = 5.5
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class AccuracyCase:
     """A folder to render and measure.
 
     Attributes
@@ -58,7 +58,7 @@ class Case:
         return {**BASE, **self.options, "seed": seed}
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[AccuracyCase]:
     """The whole programme, or in a hurry one frame of what matters most.
 
     Parameters
@@ -74,25 +74,27 @@ def cases(quick: bool) -> list[Case]:
     signs = {"diameters_mm": (8.0,), "amplitude_mm": (0.2, 3.0), "exposure_s": SIGN_CYCLES / 5.0, "in_phase": True}
     part = {"diameters_mm": (8.0,), "amplitude_mm": (0.3, 3.0), "exposure_s": 1.074, "captures": few}
     programme = [
-        Case("pooled", "5, 8 and 12 mm pooled", {"captures": captures}, paper=True, pooled=True),
-        Case("orbit", "orbits, minor axis half the major", orbit),
-        Case("phase", "phase, 0.8 mm, 5.5 cycles, 2 captures", {**phase, "phase_rad": (0.0, quarter)}, phased=True),
-        Case("part-known", "5.37 cycles, window known", {**part, "tell": "all"}),
-        Case("part-unknown", "5.37 cycles, phase unknown", {**part, "tell": "window"}),
-        Case("signs", "signs, 5.5 cycles, phase unknown", {**signs, "tell": "window", "captures": captures}),
-        Case("gaussian", "Gaussian optics", {"captures": captures, "gaussian_optics": True}),
+        AccuracyCase("pooled", "5, 8 and 12 mm pooled", {"captures": captures}, paper=True, pooled=True),
+        AccuracyCase("orbit", "orbits, minor axis half the major", orbit),
+        AccuracyCase(
+            "phase", "phase, 0.8 mm, 5.5 cycles, 2 captures", {**phase, "phase_rad": (0.0, quarter)}, phased=True
+        ),
+        AccuracyCase("part-known", "5.37 cycles, window known", {**part, "tell": "all"}),
+        AccuracyCase("part-unknown", "5.37 cycles, phase unknown", {**part, "tell": "window"}),
+        AccuracyCase("signs", "signs, 5.5 cycles, phase unknown", {**signs, "tell": "window", "captures": captures}),
+        AccuracyCase("gaussian", "Gaussian optics", {"captures": captures, "gaussian_optics": True}),
     ]
     if quick:
         return programme
     more = {"captures": few}
     return [
         *programme,
-        Case("still", "labels that stay behind", {**more, "still_paper": True}),
-        Case("dim", "a quarter of the light", {**more, "white_dn": 725.0, "sharp_white_dn": 725.0}),
-        Case("clipped", "paper clipped in green", {**more, "white_dn": 4800.0}),
-        Case("noisy", "28 e- read noise", {**more, "read_noise_e": 28.0}),
-        Case("slope", "light falling by half", {**more, "gradient": (0.5, 0.3)}),
-        Case("smooth", "paper without texture", {**more, "texture": 0.0}),
-        Case("defocus", "out of focus by 1.5 px", {**more, "defocus_px": 1.5}),
-        Case("shaken", "frame shifted by 0.7 px", {**more, "camera_shift_px": 0.7}),
+        AccuracyCase("still", "labels that stay behind", {**more, "still_paper": True}),
+        AccuracyCase("dim", "a quarter of the light", {**more, "white_dn": 725.0, "sharp_white_dn": 725.0}),
+        AccuracyCase("clipped", "paper clipped in green", {**more, "white_dn": 4800.0}),
+        AccuracyCase("noisy", "28 e- read noise", {**more, "read_noise_e": 28.0}),
+        AccuracyCase("slope", "light falling by half", {**more, "gradient": (0.5, 0.3)}),
+        AccuracyCase("smooth", "paper without texture", {**more, "texture": 0.0}),
+        AccuracyCase("defocus", "out of focus by 1.5 px", {**more, "defocus_px": 1.5}),
+        AccuracyCase("shaken", "frame shifted by 0.7 px", {**more, "camera_shift_px": 0.7}),
     ]

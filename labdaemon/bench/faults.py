@@ -78,7 +78,7 @@ class FaultTrial:
 
     def run_fault(self, device: str, fault: str, *, lasting: bool) -> FaultOutcome:
         """Inject one fault into a running campaign and wait for the campaign's end."""
-        self._up()
+        self._ensure_running()
         while self._ask("status")["campaign"] is not None:  # what the last one left
             self._ask("campaign.abort")
             time.sleep(0.5)
@@ -100,7 +100,7 @@ class FaultTrial:
         if state is None:
             self._daemon.kill()
             return FaultOutcome(device, fault, lasting, "HANGS", message, after_s)
-        self._up()
+        self._ensure_running()
         if self._ask("status")["state"] == "paused":
             self._ask("campaign.resume")
         if self._until_over(campaign["campaign"], again=True) != "completed":
@@ -113,7 +113,7 @@ class FaultTrial:
         """End the daemon."""
         self._daemon.end()
 
-    def _up(self) -> None:
+    def _ensure_running(self) -> None:
         process = getattr(self._daemon, "process", None)
         while process is None or process.poll() is not None:
             self._daemon.start()

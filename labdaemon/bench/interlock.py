@@ -42,7 +42,7 @@ COMMAND = re.compile(rb"OUTP[A-Z]*\s+(?P<off>OFF|0)|VOLT[A-Z]*\s+(?P<level>[0-9.
 
 
 @dataclass(slots=True)
-class Proxy:
+class RecordingProxy:
     """Stands in a TCP wire and notes when commands pass.
 
     Attributes
@@ -92,7 +92,7 @@ class Proxy:
 
 
 @dataclass(frozen=True, slots=True)
-class Latencies:
+class StopLatencies:
     """Seconds from trip to first stop command on the wire."""
 
     settled_s: tuple[float, ...]
@@ -105,7 +105,7 @@ class Latencies:
         return everything[min(int(0.99 * len(everything)), len(everything) - 1)]
 
 
-async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Latencies:
+async def measure(rig_file: Path, proxy: RecordingProxy, data: Path, trips: int) -> StopLatencies:
     """Trip the response interlock again and again.
 
     Parameters
@@ -164,16 +164,16 @@ async def measure(rig_file: Path, proxy: Proxy, data: Path, trips: int) -> Laten
         await table.stop(at_once=True)
         await rig.close()
         journal.close()
-    return Latencies(tuple(found[False]), tuple(found[True]))
+    return StopLatencies(tuple(found[False]), tuple(found[True]))
 
 
-def run(trips: int, seed: int) -> Latencies:
+def run(trips: int, seed: int) -> StopLatencies:
     """The whole of it, in a folder of its own."""
     folder = Path(tempfile.mkdtemp(prefix="labdaemon-interlock-"))
     try:
         with small_rig(seed) as rig:
             host, port = rig.addresses.ports["shaker"].removeprefix("socket://").split(":")
-            proxy = Proxy(host, int(port))
+            proxy = RecordingProxy(host, int(port))
             events, commands = "tcp://127.0.0.1:5571", "tcp://127.0.0.1:5570"  # named in the file, never bound
             config = rig.write_files(folder, events=events, commands=commands, data=str(folder / "data"))
             config.write_text(config.read_text().replace(rig.addresses.ports["shaker"], proxy.start()))

@@ -14,7 +14,7 @@ from labdaemon.cli.progress_bars import ProgressBars
 from labdaemon.durable import write_durably
 from labdaemon.errors import StorageError, UsageError
 from labdaemon.geometry import INTERIOR_NAMES
-from labdaemon.processing import Calibration, Charuco, board_files, calibrate, calibrate_export, read_board
+from labdaemon.processing import CameraCalibration, CharucoBoard, board_files, calibrate, calibrate_export, read_board
 from labdaemon.report.residuals import draw_residuals
 
 
@@ -45,7 +45,7 @@ def camera(
     Take ten or more at the focus and aperture of the measurement: from all sides, tilted by 30° and more, some with
     the camera turned by 90°, and such that every corner of the frame holds points in some of them.
     """
-    board = Charuco.parse(charuco, marker, family) if charuco is not None else None
+    board = CharucoBoard.parse(charuco, marker, family) if charuco is not None else None
     name = name or (folder.stem if folder.is_file() else folder.resolve().name)
     if re.fullmatch(r"[A-Za-z0-9_-]+", name) is None:
         raise UsageError(f"{name!r} cannot be a camera's name: give one with --name, of letters, digits, _ and -")
@@ -73,7 +73,7 @@ def camera(
     click.echo(f"written to {written[0]} and {written[1]}", err=True)
 
 
-def camera_table(name: str, result: Calibration) -> str:
+def camera_table(name: str, result: CameraCalibration) -> str:
     """The `[cameras.NAME]` table, each value with its standard deviation as a comment."""
     lens, sd = result.lens, result.sd
 
@@ -96,7 +96,7 @@ def camera_table(name: str, result: Calibration) -> str:
     )
 
 
-def _summary(name: str, result: Calibration, written: tuple[Path, Path]) -> dict[str, object]:
+def _summary(name: str, result: CameraCalibration, written: tuple[Path, Path]) -> dict[str, object]:
     lens = result.lens
     return {
         "camera": name,
@@ -114,7 +114,7 @@ def _summary(name: str, result: Calibration, written: tuple[Path, Path]) -> dict
     }
 
 
-def _write(folder: Path, name: str, table: str, result: Calibration) -> tuple[Path, Path]:
+def _write(folder: Path, name: str, table: str, result: CameraCalibration) -> tuple[Path, Path]:
     """Write table and image, each whole or not at all."""
     toml, image = folder / f"{name}.toml", folder / f"{name}-residuals.png"
     drawn = draw_residuals(result.lens.image_size, result.image_px, result.residuals_px, result.sigma0_px, name)

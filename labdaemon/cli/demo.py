@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from labdaemon.errors import LabdaemonError, UsageError
-from labdaemon.report.accuracy import FLOOR_MM, Accuracy, summary
+from labdaemon.report.accuracy import FLOOR_MM, CaptureAccuracy, summary
 
 if TYPE_CHECKING:
     from labdaemon.cli.demo_lab import DemoLab
@@ -160,7 +160,7 @@ def free_folder(asked: Path | None) -> Path:
     return asked.resolve()
 
 
-def accuracy_lines(accuracies: Iterable[Accuracy]) -> list[str]:
+def accuracy_lines(accuracies: Iterable[CaptureAccuracy]) -> list[str]:
     """A table of errors in text, pooled in its last line."""
     known = list(accuracies)
     pooled = summary("all", [pair for one in known for pair in one.pairs])

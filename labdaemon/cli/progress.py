@@ -168,7 +168,7 @@ class Progress:
 
     def show(self, event: dict[str, Any]) -> None:
         """Show one message of the events socket."""
-        self.heard()
+        self.note_heartbeat()
         if event["kind"] == "status":
             self._status = event["data"]
         line = event_line(event)
@@ -177,14 +177,14 @@ class Progress:
         if self._live is not None:
             self._live.refresh()
 
-    def heard(self) -> None:
+    def note_heartbeat(self) -> None:
         """Note that the daemon gave a sign of life."""
         if self._is_silent:
             self._print(f"HEARD      the daemon again, after {self._age_s():.0f} s")
             self._is_silent = False
         self._heard_s = self._monotonic()
 
-    def look(self) -> None:
+    def check_silence(self) -> None:
         """Report a silence, once; to be called about every second while nothing comes."""
         if not self._is_silent and self._age_s() >= SILENT_S:
             self._is_silent = True

@@ -42,12 +42,12 @@ def address_options(command: Command) -> Command:
 
 def ask(address: str, method: str, *, timeout_s: float = 10.0, **params: Any) -> Any:
     """One command to the daemon at `address`."""
-    _knock(address)
+    _check_listening(address)
     with Client(address, timeout_s=timeout_s) as client:
         return client.call(method, **params)
 
 
-def _knock(address: str) -> None:
+def _check_listening(address: str) -> None:
     """Fail at once where no daemon listens, instead of after the time a command may take."""
     host, _, port = address.removeprefix("tcp://").rpartition(":")
     if not address.startswith("tcp://") or not port.isdigit() or int(port) >= 1 << 16:
@@ -172,9 +172,9 @@ def watch(
     ):
         for event in events:
             if event is None:
-                progress.look()
+                progress.check_silence()
             elif as_json:
-                progress.heard()
+                progress.note_heartbeat()
                 click.echo(json.dumps(event))
             else:
                 progress.show(event)

@@ -1,12 +1,12 @@
-"""A capture's frames -> its envelope: files read, targets found again, motion measured, cameras joined.
+"""A capture's frames -> its envelope: files read, targets located, motion measured, cameras joined.
 
 The daemon and the command line both come through here: `prepare_sharp` once a sharp set, `measure_capture` for each
 capture, `process_folder` for a whole data-set folder, all of them the same functions on the same files, so that a
 campaign processed again gives the same numbers.
 """
 
-from labdaemon.processing.boards import Charuco
-from labdaemon.processing.calibration import Calibration, board_files, calibrate, read_board
+from labdaemon.processing.boards import CharucoBoard
+from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
 from labdaemon.processing.envelope import CaptureResult, measure_capture
 from labdaemon.processing.folder import NOT_FRAMES, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
@@ -45,9 +45,9 @@ __all__ = [
     "NOT_FRAMES",
     "RESULTS",
     "BlurredTarget",
-    "Calibration",
+    "CameraCalibration",
     "CaptureResult",
-    "Charuco",
+    "CharucoBoard",
     "FolderResult",
     "PreparedCamera",
     "Row",

@@ -32,7 +32,7 @@ _FEWEST_POINTS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Charuco:
+class CharucoBoard:
     """A ChArUco board: squares across and down, the marker's side in parts of a square's, and the markers' family."""
 
     columns: int
@@ -41,7 +41,7 @@ class Charuco:
     family: str = "aruco-4x4-100"
 
     @classmethod
-    def parse(cls, text: str, marker: float, family: str) -> Charuco:
+    def parse(cls, text: str, marker: float, family: str) -> CharucoBoard:
         """Read ``9x6``.
 
         Raises
@@ -132,11 +132,11 @@ def load_grey(file: Path, *, jpeg: bool) -> tuple[Grey, tuple[int, int], str]:
     return ((image / 255.0) ** DISPLAY_GAMMA).astype(np.float32), (width, height), ""
 
 
-def charuco_image(file: Path, board: Charuco, *, jpeg: bool = False) -> BoardImage | None:
+def charuco_image(file: Path, board: CharucoBoard, *, jpeg: bool = False) -> BoardImage | None:
     """Corners of a ChArUco board in a photograph; None when it shows too few."""
     grey, size, serial = load_grey(file, jpeg=jpeg)
     pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker, dictionary(board.family))
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(_for_eyes(grey))
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(_apply_tone_curve(grey))
     if ids is None or len(ids) < _FEWEST_POINTS:
         return None
     numbers = np.asarray(ids).ravel()
@@ -180,7 +180,7 @@ def sheet_images(sheets: Sequence[SheetDots]) -> list[BoardImage]:
     nodes = [{row: node for node, row in lattice.items()} for lattice in lattices]
     best: list[BoardImage] = []
     for kind in range(len(RING_KINDS)):
-        marks = [_marks(sheet.rings[kind], known) for sheet, known in zip(sheets, nodes, strict=True)]
+        marks = [_named_nodes(sheet.rings[kind], known) for sheet, known in zip(sheets, nodes, strict=True)]
         images = []
         for sheet, lattice, placement in zip(sheets, lattices, place_lattices(marks), strict=True):
             if placement is None or len(lattice) < _FEWEST_POINTS:
@@ -208,13 +208,13 @@ def sheet_images(sheets: Sequence[SheetDots]) -> list[BoardImage]:
     return best
 
 
-def _marks(rings: Sequence[tuple[str, int]], nodes: dict[int, Node]) -> dict[str, Node]:
+def _named_nodes(rings: Sequence[tuple[str, int]], nodes: dict[int, Node]) -> dict[str, Node]:
     """Nodes of the rings by name; a name that is there twice marks nothing."""
     names = [name for name, row in rings if row in nodes]
     return {name: nodes[row] for name, row in rings if row in nodes and names.count(name) == 1}
 
 
-def _for_eyes(grey: Grey) -> NDArray[np.uint8]:
+def _apply_tone_curve(grey: Grey) -> NDArray[np.uint8]:
     """Eight bits with a tone curve, for detectors that were made for photographs."""
     white = float(np.percentile(grey, 99.5))
     toned = 255.0 * np.clip(grey / max(white, 1e-9), 0.0, 1.0) ** (1.0 / DISPLAY_GAMMA)

@@ -26,7 +26,7 @@ from labdaemon.geometry import (
     select_observations,
 )
 from labdaemon.imaging import centre_shift
-from labdaemon.processing.boards import BoardImage, Charuco, charuco_image, sheet_dots, sheet_images
+from labdaemon.processing.boards import BoardImage, CharucoBoard, charuco_image, sheet_dots, sheet_images
 
 SUFFIXES = frozenset(
     f".{kind}"
@@ -35,11 +35,11 @@ SUFFIXES = frozenset(
         *("tif", "tiff", "png", "jpg", "jpeg"),
     )
 )
-FEWEST_PICTURES = 4
+FEWEST_PHOTOGRAPHS = 4
 SD_PX = 0.1
 """A detected centre or corner, before the residuals say better."""
 MOST_GROSS_ERRORS = 60
-FEW_PICTURES = 8
+FEW_PHOTOGRAPHS = 8
 ROLLED_DEG, TILTED_DEG = 60.0, 25.0
 """Largest difference of roll, and of viewing direction, that a good set has at least."""
 CORNER = 0.2
@@ -49,7 +49,7 @@ WEAK_FOCAL, WEAK_CENTRE_PX = 1e-3, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class CameraCalibration:
     """A camera's interior orientation and what it rests on.
 
     Attributes
@@ -86,21 +86,21 @@ def board_files(folder: Path) -> list[Path]:
     Raises
     ------
     DataError
-        The folder is missing, or holds fewer than `FEWEST_PICTURES` photographs.
+        The folder is missing, or holds fewer than `FEWEST_PHOTOGRAPHS` photographs.
     """
     if not folder.is_dir():
         raise DataError("no such folder", file=folder)
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
-    if len(files) < FEWEST_PICTURES:
+    if len(files) < FEWEST_PHOTOGRAPHS:
         raise DataError(
-            f"holds {len(files)} photographs; at least {FEWEST_PICTURES} of the board are needed", file=folder
+            f"holds {len(files)} photographs; at least {FEWEST_PHOTOGRAPHS} of the board are needed", file=folder
         )
     return files
 
 
 def read_board(
     files: Sequence[Path],
-    charuco: Charuco | None = None,
+    charuco: CharucoBoard | None = None,
     *,
     jpeg: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -140,9 +140,9 @@ def read_board(
             progress(done, len(files))
     if charuco is None:
         found = sheet_images(sheets)
-    if len(found) < FEWEST_PICTURES:
+    if len(found) < FEWEST_PHOTOGRAPHS:
         raise DataError(
-            f"the board was recognised in {len(found)} of {len(files)} photographs; {FEWEST_PICTURES} are needed",
+            f"the board was recognised in {len(found)} of {len(files)} photographs; {FEWEST_PHOTOGRAPHS} are needed",
             file=files[0].parent,
         )
     first = found[0]
@@ -163,7 +163,7 @@ def read_board(
     return found, [f"{file.name}: the board was not recognised" for file in files if file not in used]
 
 
-def calibrate(photographs: Sequence[BoardImage], notes: Sequence[str] = ()) -> Calibration:
+def calibrate(photographs: Sequence[BoardImage], notes: Sequence[str] = ()) -> CameraCalibration:
     """Adjust lens, board and camera positions to what the photographs show.
 
     Parameters
@@ -178,7 +178,7 @@ def calibrate(photographs: Sequence[BoardImage], notes: Sequence[str] = ()) -> C
     DataError
         The photographs do not determine the lens.
     """
-    network, names = _network(photographs, *_rough(photographs))
+    network, names = _network(photographs, *_initial_calibration(photographs))
     adjustment, _, gross = adjust_without_gross_errors(network, names, max_errors=MOST_GROSS_ERRORS)
     if any(np.any(photograph.radius_px > 0) for photograph in photographs):
         lens, poses = adjustment.network.lenses[0], adjustment.network.poses
@@ -189,7 +189,7 @@ def calibrate(photographs: Sequence[BoardImage], notes: Sequence[str] = ()) -> C
     lens = final.lenses[0]
     assert isinstance(lens, Lens)
     files = tuple(photograph.file for photograph in photographs)
-    return Calibration(
+    return CameraCalibration(
         lens,
         adjustment.interior_sd(),
         adjustment.sigma0 * SD_PX,
@@ -199,11 +199,11 @@ def calibrate(photographs: Sequence[BoardImage], notes: Sequence[str] = ()) -> C
         adjustment.residuals_px,
         final.image,
         (*notes, *(left_out_line(error, files) for error in gross)),
-        tuple(weaknesses(lens, adjustment.interior_sd(), final.poses, final.image_px)),
+        tuple(find_weaknesses(lens, adjustment.interior_sd(), final.poses, final.image_px)),
     )
 
 
-def weaknesses(lens: Lens, sd: FloatArray, poses: Sequence[Pose], image_px: FloatArray) -> list[str]:
+def find_weaknesses(lens: Lens, sd: FloatArray, poses: Sequence[Pose], image_px: FloatArray) -> list[str]:
     """What a set of photographs leaves open, a line each.
 
     Parameters
@@ -216,8 +216,8 @@ def weaknesses(lens: Lens, sd: FloatArray, poses: Sequence[Pose], image_px: Floa
         (n, 2) all points in all of them.
     """
     found = []
-    if len(poses) < FEW_PICTURES:
-        found.append(f"only {len(poses)} photographs: take {FEW_PICTURES} or more")
+    if len(poses) < FEW_PHOTOGRAPHS:
+        found.append(f"only {len(poses)} photographs: take {FEW_PHOTOGRAPHS} or more")
     rolls = np.arctan2([p.rotation[1, 0] for p in poses], [p.rotation[0, 0] for p in poses])
     if np.abs(np.angle(np.exp(1j * (rolls[:, None] - rolls)))).max() < np.radians(ROLLED_DEG):
         found.append("no rolled views: turn the camera by 90° for some, or the principal point hangs on the board")
@@ -242,7 +242,7 @@ def weaknesses(lens: Lens, sd: FloatArray, poses: Sequence[Pose], image_px: Floa
     return found
 
 
-def _rough(photographs: Sequence[BoardImage]) -> tuple[Lens, tuple[Pose, ...]]:
+def _initial_calibration(photographs: Sequence[BoardImage]) -> tuple[Lens, tuple[Pose, ...]]:
     """Starting values by OpenCV's own calibration, which wants a flat board."""
     size = photographs[0].size
     boards = [np.column_stack([p.board, np.zeros(len(p.names))]).astype(np.float32) for p in photographs]

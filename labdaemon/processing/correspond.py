@@ -29,9 +29,9 @@ SD_ONE_SIZE = 0.01
 """How much dots of one print differ at least, relative, once their common size is known."""
 SD_RELATIVE_SIZE = 0.02
 """How well the sizes of one dot in two cameras agree, relative."""
-GATE = 25.0
+GATE_COST = 25.0
 """Cost beyond which dots do not belong together (a sum of squared normalised discrepancies)."""
-CLEAR = 9.0
+CLEAR_COST = 9.0
 """How much worse the runner-up must be for a match not to be a guess."""
 
 
@@ -82,7 +82,7 @@ class _TrackCandidate:
     @property
     def gain(self) -> float:
         """Dots explained, less the cost: a dot left alone is worth nothing."""
-        return GATE * (sum(dot >= 0 for dot in self.dots) - 1) - self.cost
+        return GATE_COST * (sum(dot >= 0 for dot in self.dots) - 1) - self.cost
 
 
 def intersect_rays(views: Sequence[OrientedCamera], pixels: FloatArray) -> FloatArray:
@@ -187,7 +187,7 @@ def _candidates(cameras: Sequence[DetectedDots], sizes: _NominalSizes) -> list[_
         dots = np.full((len(i), len(cameras)), -1)
         dots[:, p], dots[:, q] = i, j
         cost = _cost(cameras, dots, place, sizes)
-        for k in np.flatnonzero(cost < GATE):
+        for k in np.flatnonzero(cost < GATE_COST):
             pair = _TrackCandidate(tuple(int(d) for d in dots[k]), place[k], float(cost[k]))
             found[pair.dots] = pair
             wider = _widen(cameras, pair, sizes)
@@ -213,7 +213,7 @@ def _widen(cameras: Sequence[DetectedDots], pair: _TrackCandidate, sizes: _Nomin
     )
     place = intersect_rays([camera.view for camera in cameras], pixels)
     cost = float(_cost(cameras, np.array([dots]), place, sizes)[0])
-    allowed = GATE * (sum(dot >= 0 for dot in dots) - 1)
+    allowed = GATE_COST * (sum(dot >= 0 for dot in dots) - 1)
     return _TrackCandidate(tuple(dots), place[0], cost) if cost < allowed else None
 
 
@@ -301,7 +301,7 @@ def _solve(cluster: list[_TrackCandidate]) -> list[Track]:
         # A subset of the same dots (one camera fewer) is no rival: it says the same.
         rivals = [cluster[k] for k in np.flatnonzero(other)]
         same = any(_agree(cluster[index], rival) for rival in rivals)
-        tracks.append(Track(cluster[index].dots, cluster[index].place_mm, same or total - second > CLEAR))
+        tracks.append(Track(cluster[index].dots, cluster[index].place_mm, same or total - second > CLEAR_COST))
     return tracks
 
 

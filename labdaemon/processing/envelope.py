@@ -24,9 +24,11 @@ from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.sharpset import SharpSet
 from labdaemon.processing.tables import Row, envelope_row, measurement_row
 
-SPOILT = frozenset({Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT, Flag.AMBIGUOUS})
+SPOILING_FLAGS = frozenset(
+    {Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT, Flag.AMBIGUOUS}
+)
 """Flags for which a camera is left out where two others see a target well."""
-CURVED = 0.02
+ORBIT_AXIS_RATIO = 0.02
 """Ratio of the axes from which a path in space is an orbit, and has no sign."""
 
 _Seen: TypeAlias = Mapping[str, Mapping[str, Measurement]]
@@ -123,9 +125,9 @@ def join_frames(
             rows.append(measurement_row(name, frame.camera, measurement, decide_sign(frame.evidence_of(index))))
     views = _views(sharp, frames)
     if sharp.plane is not None:
-        joined = _on_plane(sharp, frames[0], by_target)
+        joined = _map_to_plane(sharp, frames[0], by_target)
     else:
-        joined = _in_space(sharp, views, by_target, evidence)
+        joined = _intersect_in_space(sharp, views, by_target, evidence)
     envelope = []
     for target, sure in zip(sharp.targets, sharp.sure, strict=True):
         motion = joined.get(target)
@@ -137,14 +139,14 @@ def join_frames(
     return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)), drawn)
 
 
-def _on_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str, ObjectMotion]:
+def _map_to_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str, ObjectMotion]:
     """One camera: motion in the plane, the frame's own shift and turn taken off."""
     plane, camera = sharp.plane, sharp.cameras[0]
     assert plane is not None
     result = {}
     for target, seen in by_target.items():
         measurement = seen.get(camera.name)
-        if measurement is None or not _measured(measurement):
+        if measurement is None or not _has_numbers(measurement):
             continue
         image_motion = _image_motion(measurement)
         if frame.motions:
@@ -164,12 +166,12 @@ def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, Oriented
     }
 
 
-def _in_space(
+def _intersect_in_space(
     sharp: SharpSet, views: Mapping[str, OrientedCamera], by_target: _Seen, evidence: Mapping[str, Mapping[str, float]]
 ) -> dict[str, ObjectMotion]:
     """Several cameras: what their rays say together."""
     image_motions = {
-        target: {camera: _image_motion(one) for camera, one in _trusted(seen).items()}
+        target: {camera: _image_motion(one) for camera, one in _select_clean(seen).items()}
         for target, seen in by_target.items()
     }
     joined = intersect_targets(views, image_motions, covariance=sharp.covariance, evidence=evidence)
@@ -187,10 +189,10 @@ def _sign(
     evidence: Mapping[str, float],
 ) -> int:
     """Sign of a target's a in space by its cameras' evidence; 0 where they do not know, or contradict each other."""
-    if Flag.AMBIGUOUS in motion.flags or np.linalg.norm(motion.b_mm) > CURVED * np.linalg.norm(motion.a_mm):
+    if Flag.AMBIGUOUS in motion.flags or np.linalg.norm(motion.b_mm) > ORBIT_AXIS_RATIO * np.linalg.norm(motion.a_mm):
         return 0
     turned = []
-    for camera, one in _trusted(seen).items():
+    for camera, one in _select_clean(seen).items():
         a_px = views[camera].project_with_jacobians(motion.mean_mm[None])[1][0] @ motion.a_mm
         turned.append(evidence.get(camera, 0.0) * float(np.sign(a_px @ one.a_px)))
     signs = {decide_sign(one) for one in turned} - {0}
@@ -208,20 +210,20 @@ def _image_motion(measurement: Measurement) -> ImageMotion:
     )
 
 
-def _measured(measurement: Measurement) -> bool:
+def _has_numbers(measurement: Measurement) -> bool:
     return bool(np.isfinite([*measurement.centre_px, *measurement.a_px, *measurement.b_px]).all())
 
 
-def _trusted(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
+def _select_clean(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
     """The cameras that a target's motion is taken from: all, or the clean ones where two or more are clean."""
-    measured = {camera: one for camera, one in seen.items() if _measured(one)}
-    clean = {camera: one for camera, one in measured.items() if not one.flags & SPOILT}
+    measured = {camera: one for camera, one in seen.items() if _has_numbers(one)}
+    clean = {camera: one for camera, one in measured.items() if not one.flags & SPOILING_FLAGS}
     return clean if len(clean) >= 2 else measured
 
 
 def _flags(seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, cameras: int, sure: bool) -> set[Flag]:
     """What is said of a target, by those cameras that its motion rests on."""
-    used = _trusted(seen) if cameras > 1 and motion is not None else dict(seen)
+    used = _select_clean(seen) if cameras > 1 and motion is not None else dict(seen)
     flags = {flag for one in used.values() for flag in one.flags}
     if motion is None:
         return (flags - {Flag.AT_REST}) | {Flag.NOT_FOUND}

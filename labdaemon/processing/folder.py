@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from labdaemon.blur import ExposureWindow, LightCode
 from labdaemon.errors import ConfigError, DataError, UsageError
 from labdaemon.processing.control import check_family
-from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_misspelt
+from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_unknown_keys
 from labdaemon.processing.survey import SurveyedPoint, TargetPlace, read_control, read_targets
 
 NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
@@ -159,7 +159,7 @@ class DataFolder:
         missing = [camera for camera in self.rig.cameras if camera not in found]
         if missing:
             raise DataError(f"no sharp frame of camera {missing[0]}", file=where)
-        return SharpFiles(name or "", _at_rest(where), found)
+        return SharpFiles(name or "", _read_at_rest(where), found)
 
     def sharp_sets(self) -> tuple[str, ...]:
         """All sharp sets in the order in which they name targets: the flat one ("") first, then by name."""
@@ -258,7 +258,7 @@ def _frames_in(where: Path, cameras: tuple[str, ...], *, several: bool) -> dict[
         suffix = path.suffix.lower()
         if path.is_dir() or path.name.startswith(".") or suffix in NOT_FRAMES:
             continue
-        camera, number = _whose(path.stem, cameras, several)
+        camera, number = _camera_and_number(path.stem, cameras, several)
         if suffix in TONE_MAPPED:
             photographs.setdefault(camera or path.stem, path)
             continue
@@ -276,7 +276,7 @@ def _frames_in(where: Path, cameras: tuple[str, ...], *, several: bool) -> dict[
     return {camera: tuple(found[camera][n] for n in sorted(found[camera])) for camera in cameras if camera in found}
 
 
-def _whose(stem: str, cameras: tuple[str, ...], several: bool) -> tuple[str | None, int]:
+def _camera_and_number(stem: str, cameras: tuple[str, ...], several: bool) -> tuple[str | None, int]:
     if stem in cameras:
         return stem, 1
     match = re.fullmatch(r"(.+)-([1-9]\d*)", stem)
@@ -285,12 +285,12 @@ def _whose(stem: str, cameras: tuple[str, ...], several: bool) -> tuple[str | No
     return None, 0
 
 
-def _at_rest(where: Path) -> bool:
+def _read_at_rest(where: Path) -> bool:
     path = where / "set.toml"
     if not path.exists():
         return True
     table = read_toml(path)
-    refuse_misspelt(table, frozenset({"at_rest"}), path)
+    refuse_unknown_keys(table, frozenset({"at_rest"}), path)
     value: Any = table.get("at_rest", True)
     if not isinstance(value, bool):
         raise ConfigError("must be true or false", source=path, key="at_rest")
@@ -301,7 +301,7 @@ def _read_capture(path: Path, cameras: tuple[str, ...]) -> CaptureFile:
     if not path.exists():
         return CaptureFile()
     table = read_toml(path)
-    refuse_misspelt(table, frozenset(CaptureFile.model_fields), path)
+    refuse_unknown_keys(table, frozenset(CaptureFile.model_fields), path)
     try:
         about = CaptureFile.model_validate(table)
     except ValidationError as exc:

@@ -26,7 +26,7 @@ from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
-from labdaemon.processing.group import holds_phase, is_part
+from labdaemon.processing.group import holds_phase, is_part_cycle
 from labdaemon.processing.matched_filter import BlurredTarget
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.prepare import PreparedCamera
@@ -237,7 +237,7 @@ def _with_white(
 
 def _measure_one(camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None) -> list[Measurement]:
     # Axes do not depend on the opening phase: where it is unknown, any will do.
-    unknown = window is not None and window.phase_rad is None and is_part(window)
+    unknown = window is not None and window.phase_rad is None and is_part_cycle(window)
     if unknown and window is not None:
         window = replace(window, phase_rad=0.0)
 
@@ -285,7 +285,7 @@ def _evidence(
     camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, measured: Sequence[Measurement]
 ) -> tuple[float, ...]:
     """Evidence for the sign of each target's a; 0 where there is none."""
-    if window is None or not is_part(window):
+    if window is None or not is_part_cycle(window):
         return ()
     found, targets, cuts, starts = _fit_inputs(camera, located)
     signs = find_relative_signs(targets, cuts, window, defocus=located.shift.defocus, initial_guesses=starts)

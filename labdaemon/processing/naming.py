@@ -23,7 +23,7 @@ def names_in_space(places_mm: FloatArray) -> list[str]:
     return names_by_place(places_mm[:, 0] if spread[0] >= spread[1] else places_mm[:, 1], places_mm[:, 2])
 
 
-def names_like(places_mm: FloatArray, known_mm: FloatArray, known: tuple[str, ...], reach_mm: float) -> list[str]:
+def keep_names(places_mm: FloatArray, known_mm: FloatArray, known: tuple[str, ...], reach_mm: float) -> list[str]:
     """Name (n, 3) targets as those of an earlier set, (m, 3), at the same places; new numbers for new targets.
 
     Places match one to one, at most `reach_mm` apart, so that the total distance is least.
@@ -46,7 +46,7 @@ def names_like(places_mm: FloatArray, known_mm: FloatArray, known: tuple[str, ..
     return names
 
 
-def near_places(camera: DetectedDots, places_mm: FloatArray) -> NDArray[np.intp]:
+def match_places(camera: DetectedDots, places_mm: FloatArray) -> NDArray[np.intp]:
     """Match a camera's dots to approximate places.
 
     Parameters

@@ -20,10 +20,10 @@ from labdaemon.geometry import (
     read_photomodeler,
     select_observations,
 )
-from labdaemon.processing.calibration import MOST_GROSS_ERRORS, SD_PX, Calibration, left_out_line, weaknesses
+from labdaemon.processing.calibration import MOST_GROSS_ERRORS, SD_PX, CameraCalibration, find_weaknesses, left_out_line
 
 
-def calibrate_export(file: Path) -> Calibration:
+def calibrate_export(file: Path) -> CameraCalibration:
     """Adjust a PhotoModeler export in OpenCV's model, as a free network.
 
     Parameters
@@ -42,7 +42,7 @@ def calibrate_export(file: Path) -> Calibration:
     except (DataError, OSError) as exc:
         raise DataError(str(exc), file=file) from exc
     if not len(project.image_px):
-        return Calibration(
+        return CameraCalibration(
             lens,
             np.full(9, np.nan),
             float("nan"),
@@ -75,7 +75,7 @@ def calibrate_export(file: Path) -> Calibration:
     adjusted = final.lenses[0]
     assert isinstance(adjusted, Lens)
     files = tuple(Path(name) for name in project.files)
-    return Calibration(
+    return CameraCalibration(
         adjusted,
         adjustment.interior_sd(),
         adjustment.sigma0 * SD_PX,
@@ -85,5 +85,5 @@ def calibrate_export(file: Path) -> Calibration:
         adjustment.residuals_px,
         final.image,
         tuple(left_out_line(error, files) for error in gross),
-        tuple(weaknesses(adjusted, adjustment.interior_sd(), final.poses, final.image_px)),
+        tuple(find_weaknesses(adjusted, adjustment.interior_sd(), final.poses, final.image_px)),
     )

@@ -159,9 +159,9 @@ def prepare_frames(
     else:
         known = [point.name for point in survey.control]
         control = find_control(frame, frames, grey, survey.family, lens=survey.lens, known=known)
-        _enough(control, survey, file, frame)
+        _check_control_count(control, survey, file, frame)
         orientation = _orient(control, survey, file)
-        sizes = _sizes(orientation.camera, survey)
+        sizes = _expected_diameters_px(orientation.camera, survey)
     dots = find_dots(grey, diameter_range_px=sizes, exclude=control.outlines)
     if not dots and sizes != ORDINARY_PX:
         dots = find_dots(grey, exclude=control.outlines)  # of other sizes than the rig file says: for a better message
@@ -172,7 +172,7 @@ def prepare_frames(
             file=file,
         )
     fitted = [(dot, solved(_fit)(dot, frames)) for dot in dots]
-    usable = _all_in_doubt([(dot, target) for dot, target in fitted if target is not None and target.usable])
+    usable = _flag_blurred_set([(dot, target) for dot, target in fitted if target is not None and target.usable])
     if not usable:
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
     plain = [ExpectedTarget(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
@@ -185,7 +185,7 @@ def prepare_frames(
         tuple(replace(one, contrast=float(c)) for one, c in zip(plain, contrast, strict=True)),
         control,
         orientation,
-        dots=tuple((dot, _around(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
+        dots=tuple((dot, _cut_dot(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
         notes=frame.notes,
     )
 
@@ -243,7 +243,7 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
     )
 
 
-def _all_in_doubt(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:
+def _flag_blurred_set(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:
     """The dots, all of them flagged where so many look smeared that the structure was not at rest.
 
     A dot that moved by parts of a pixel while it was taken looks sharp, but what is measured against it is wrong.
@@ -254,7 +254,7 @@ def _all_in_doubt(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, Shar
     return [(dot, replace(target, flags=target.flags | {Flag.POOR_FIT})) for dot, target in usable]
 
 
-def _enough(control: ControlTargets, survey: CameraSurvey, file: Path, frame: RawFrame) -> None:
+def _check_control_count(control: ControlTargets, survey: CameraSurvey, file: Path, frame: RawFrame) -> None:
     if len(control.names) >= LEAST_CONTROL:
         return
     seen = f" ({', '.join(control.names)})" if control.names else ""
@@ -266,7 +266,7 @@ def _enough(control: ControlTargets, survey: CameraSurvey, file: Path, frame: Ra
     )
 
 
-def _sizes(view: OrientedCamera, survey: CameraSurvey) -> tuple[float, float]:
+def _expected_diameters_px(view: OrientedCamera, survey: CameraSurvey) -> tuple[float, float]:
     """Diameters of dots, px, that may be seen near the control targets: nominal, nearer, farther, badly printed."""
     places = np.array([(point.x_mm, point.y_mm, point.z_mm) for point in survey.control])
     depth = view.to_camera_axes(places)[:, 2]
@@ -276,7 +276,7 @@ def _sizes(view: OrientedCamera, survey: CameraSurvey) -> tuple[float, float]:
     return max(smallest, SMALLEST_PX), max(largest, 2 * SMALLEST_PX)
 
 
-def _around(dot: Dot, frame: RawFrame) -> Patch:
+def _cut_dot(dot: Dot, frame: RawFrame) -> Patch:
     """The part of a frame that holds a dot and its paper."""
     half = int(
         np.ceil(max(2.0 * dot.semi_major_px + 10, min(dot.paper_px, dot.semi_major_px + TEXTURE_MAP.max_radius_px)))
@@ -285,7 +285,7 @@ def _around(dot: Dot, frame: RawFrame) -> Patch:
 
 
 def _fit(dot: Dot, frames: Sequence[RawFrame]) -> SharpTarget:
-    patches = [_around(dot, frame) for frame in frames]
+    patches = [_cut_dot(dot, frame) for frame in frames]
     target = fit_sharp(dot, patches)
     if any(frame.is_white(patch) for frame, patch in zip(frames, patches, strict=True)):
         return replace(target, flags=target.flags | {Flag.SATURATED})

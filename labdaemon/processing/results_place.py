@@ -48,7 +48,7 @@ def process_in_use(folder: Path) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultsPlace:
+class ResultsFolders:
     """Where results go, chosen when work begins and looked at once more when it is done.
 
     Attributes
@@ -63,7 +63,7 @@ class ResultsPlace:
     found: tuple[Stamp | None, ...]
 
     @classmethod
-    def of(cls, folder: Path) -> ResultsPlace:
+    def of(cls, folder: Path) -> ResultsFolders:
         """The usual place in a folder, as it is now."""
         return cls(folder, stamps(folder))
 

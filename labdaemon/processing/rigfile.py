@@ -35,11 +35,11 @@ DRIVER_SECTIONS: dict[str, type[DriverSection]] = {
 }
 
 
-class _Table(BaseModel):
+class _SettingsTable(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
-class CameraSettings(_Table):
+class CameraSettings(_SettingsTable):
     """A camera's interior orientation, in pixels of LibRaw's visible area, OpenCV's distortion model."""
 
     image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
@@ -48,7 +48,7 @@ class CameraSettings(_Table):
     distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class TargetSettings(_Table):
+class TargetSettings(_SettingsTable):
     """Sizes of the dots in use, millimetres."""
 
     diameter_mm: tuple[Positive, ...]
@@ -59,20 +59,20 @@ class TargetSettings(_Table):
         return (value,) if isinstance(value, (int, float)) else value
 
 
-class ControlSettings(_Table):
+class ControlSettings(_SettingsTable):
     """Kind and size of the control targets: side of a tag's black square, or diameter of a ring target's dot."""
 
     family: str = ControlSection.model_fields["family"].default
     size_mm: Positive
 
 
-class ProcessingSettings(_Table):
+class ProcessingSettings(_SettingsTable):
     """How frames are measured."""
 
     method: Literal["fit", "paper"] = "fit"
 
 
-class RigFile(_Table):
+class RigFile(_SettingsTable):
     """The parts of a rig file that processing reads."""
 
     cameras: dict[str, CameraSettings] = Field(min_length=1)
@@ -94,7 +94,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     return tomlfile.read_toml(path)[1]
 
 
-def refuse_misspelt(table: Mapping[str, Any], known: frozenset[str], path: Path, key: str = "") -> None:
+def refuse_unknown_keys(table: Mapping[str, Any], known: frozenset[str], path: Path, key: str = "") -> None:
     """Raise `ConfigError` for a key that nearly is one of `known`."""
     for name in table:
         if name in known:
@@ -151,7 +151,7 @@ def _check_sections(table: dict[str, Any], path: Path) -> None:
         model = DRIVER_SECTIONS[key.partition(".")[0].partition("[")[0]]
         known = list(model.model_fields)
         if "driver" in section:  # further keys are the driver's, which need not be installed here
-            refuse_misspelt(section, frozenset(known), path, f"{key}.")
+            refuse_unknown_keys(section, frozenset(known), path, f"{key}.")
             continue
         for name in section:
             if name not in known:

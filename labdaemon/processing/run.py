@@ -12,7 +12,7 @@ from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.pool import WorkerPool
-from labdaemon.processing.results_place import ResultsPlace
+from labdaemon.processing.results_place import ResultsFolders
 from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder, prepare_sharp
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, write_csv
 
@@ -111,7 +111,7 @@ def process_folder(
     DataError, ConfigError
         The input cannot be used: one line naming the file; nothing is written then.
     """
-    opened, place = open_folder(folder), ResultsPlace.of(folder)
+    opened, place = open_folder(folder), ResultsFolders.of(folder)
     if method is not None:
         settings = opened.rig.processing.model_copy(update={"method": method})
         rig = opened.rig.model_copy(update={"processing": settings})

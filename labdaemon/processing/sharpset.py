@@ -15,7 +15,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry import Lens, Plane, fit_plane
 from labdaemon.processing.correspond import DetectedDots, correspond, intersect_rays
 from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
-from labdaemon.processing.naming import names_in_space, names_like, near_places
+from labdaemon.processing.naming import keep_names, match_places, names_in_space
 from labdaemon.processing.prepare import CameraSurvey, PreparedCamera, prepare_camera
 from labdaemon.processing.stations import detected_dots, excluded, orient_cameras
 from labdaemon.processing.survey import SurveyedPoint
@@ -116,7 +116,7 @@ def assemble(
     seen = [detected_dots(camera) for camera in prepared]
     if folder.targets:
         wanted = np.array([(t.x_mm, t.y_mm, t.z_mm) for t in folder.targets])
-        dots = np.column_stack([near_places(camera, wanted) for camera in seen])
+        dots = np.column_stack([match_places(camera, wanted) for camera in seen])
         names, sure = [t.name for t in folder.targets], np.ones(len(wanted), dtype=np.bool_)
         if not (dots >= 0).any():
             raise DataError(
@@ -124,7 +124,7 @@ def assemble(
                 file=folder.root / "targets.csv",
             )
     elif plane is not None:
-        keep = _of_size(seen[0], plane, sizes, folder, files)
+        keep = _select_by_size(seen[0], plane, sizes, folder, files)
         dots, sure = keep[:, None], np.ones(len(keep), dtype=np.bool_)
         names = []
     else:
@@ -137,12 +137,12 @@ def assemble(
             )
         dots, sure = np.array([track.dots for track in tracks]), np.array([track.sure for track in tracks])
         names = []
-    places = _places(prepared, dots, plane)
+    places = _object_places(prepared, dots, plane)
     notes = [*(note for camera in prepared for note in camera.notes), *notes]
-    notes += _left_over(prepared, dots) + _not_at_rest(prepared)
+    notes += _unused_dot_notes(prepared, dots) + _blurred_set_notes(prepared)
     if not names:
         names = (
-            names_in_space(places) if like is None else names_like(places, like.places_mm, like.targets, SAME_PLACE_MM)
+            names_in_space(places) if like is None else keep_names(places, like.places_mm, like.targets, SAME_PLACE_MM)
         )
     order = np.argsort(names, kind="stable") if not folder.targets else np.arange(len(names))
     dots, places, sure, names = dots[order], places[order], sure[order], [names[i] for i in order]
@@ -199,7 +199,7 @@ def _plane(camera: PreparedCamera, folder: DataFolder) -> Plane:
         raise DataError(str(exc), file=folder.root / "control.csv") from None
 
 
-def _of_size(
+def _select_by_size(
     seen: DetectedDots, plane: Plane, sizes: tuple[float, ...], folder: DataFolder, files: SharpFiles
 ) -> NDArray[np.intp]:
     """Dots whose size in the plane is one of those in use."""
@@ -217,7 +217,7 @@ def _of_size(
     return keep
 
 
-def _places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: Plane | None) -> FloatArray:
+def _object_places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: Plane | None) -> FloatArray:
     pixels = np.full((len(prepared), len(dots), 2), np.nan)
     for c, camera in enumerate(prepared):
         rows = np.flatnonzero(dots[:, c] >= 0)
@@ -230,7 +230,7 @@ def _places(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp], plane: P
     return places
 
 
-def _not_at_rest(prepared: Sequence[PreparedCamera]) -> list[str]:
+def _blurred_set_notes(prepared: Sequence[PreparedCamera]) -> list[str]:
     return [
         f"{camera.name}: {camera.file.name} is itself blurred, so that everything measured against it is flagged "
         "poor_fit: take it at rest, or with a fast shutter (at_rest = false in set.toml)"
@@ -239,7 +239,7 @@ def _not_at_rest(prepared: Sequence[PreparedCamera]) -> list[str]:
     ]
 
 
-def _left_over(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp]) -> list[str]:
+def _unused_dot_notes(prepared: Sequence[PreparedCamera], dots: NDArray[np.intp]) -> list[str]:
     notes = []
     for c, camera in enumerate(prepared):
         alone = sorted(set(range(len(camera.targets))) - set(dots[:, c].tolist()))

@@ -30,7 +30,7 @@ LEAST_SCORE = 0.8
 SD_BETWEEN_PX2 = 0.04
 """Variance of the extra blur that a control target gives in a frame shifted by half a pixel: its samples then are
 interpolated from a mosaic, which costs sharpness of its own. Nothing is lost at whole pixels."""
-TURN = 1.0
+SD_TURN_PX = 1.0
 """Prior standard deviation of a frame's rotation times its width, px: mirrors shift, they hardly turn."""
 
 
@@ -77,12 +77,12 @@ def frame_shift(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> Fra
     """
     if not control.names:
         return UNKNOWN
-    starts = _starts(frame, grey, control)
+    starts = _initial_places(frame, grey, control)
     stills = []
     for target, start in zip(control.sharp, starts, strict=True):
         if start is None:
             continue
-        patch = _around(frame, target.form.half_size_px, start)
+        patch = _cut_target(frame, target.form.half_size_px, start)
         still = solved(measure_static)(target, patch, initial_guess=InitialGuess(start))
         if still is None:
             continue
@@ -93,13 +93,13 @@ def frame_shift(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> Fra
     return _fit(stills, frame.size)
 
 
-def _around(frame: RawFrame, half_size: tuple[float, float], centre: FloatArray) -> Patch:
+def _cut_target(frame: RawFrame, half_size: tuple[float, float], centre: FloatArray) -> Patch:
     half_w, half_h = (int(np.ceil(v)) + 4 for v in half_size)
     x, y = (round(float(v)) for v in centre)
     return frame.patch(x - half_w, y - half_h, 2 * half_w + 1, 2 * half_h + 1)
 
 
-def _starts(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> list[FloatArray | None]:
+def _initial_places(frame: RawFrame, grey: GreyLike, control: ControlTargets) -> list[FloatArray | None]:
     """Rough place of each control target's thumbnail in the frame."""
     found = [find_thumbnail(grey, thumbnail, REACH_PX) for thumbnail in control.thumbnails]
     centres = [target.centre_px for target in control.sharp]
@@ -125,7 +125,7 @@ def _fit(stills: Sequence[StaticMeasurement], size: tuple[int, int]) -> FrameShi
     design[:, 0, 2], design[:, 1, 2] = -away[:, 1], away[:, 0]
     weight = 1 / sd**2
     p = np.append(np.median(shifts, axis=0), 0.0)
-    prior = np.diag([0.0, 0.0, (size[0] / TURN) ** 2])
+    prior = np.diag([0.0, 0.0, (size[0] / SD_TURN_PX) ** 2])
     for _ in range(10):
         miss = np.hypot(*(shifts - design @ p).T) / sd
         spread = max(1.0, 1.2 * float(np.median(miss)))

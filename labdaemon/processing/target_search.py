@@ -42,9 +42,9 @@ STRAIN = 0.25
 """Largest displacement gradient over the structure."""
 SAMPLE_STEP = 7
 """One pixel in so many rows and columns is sampled for the brightness of an image."""
-SAMPLES = 2000
-GROWN = 60
-CHOICES = 10
+RANDOM_FIELDS = 2000
+REFITTED_FIELDS = 60
+SMEARS_PER_TARGET = 10
 """Smears a target is tried with."""
 
 
@@ -247,7 +247,7 @@ def assign(places: FloatArray, centres: FloatArray, weight: FloatArray, *, least
     tolerance = max(least_px, 0.15 * spacing)
     distance = np.hypot(*(centres[None] - places[:, None]).transpose(2, 0, 1))
     attractive = weight * np.exp(-distance / (4 * spacing))
-    options = np.argsort(-attractive, axis=1)[:, :CHOICES]
+    options = np.argsort(-attractive, axis=1)[:, :SMEARS_PER_TARGET]
     option_weight = np.take_along_axis(weight, options, axis=1)
     field = _best_field(places, centres[options], option_weight, tolerance, spacing)
     chosen = np.full(count, -1)
@@ -276,9 +276,9 @@ def _best_field(
         fields.append(np.repeat(shifts[:, None], count, axis=1))
     if usable.size >= 3:
         rng = np.random.default_rng(0)
-        triples = usable[np.argsort(rng.random((SAMPLES, usable.size)), axis=1)[:, :3]]
-        draw = np.log(np.maximum(weight[triples], 1e-12)) + rng.gumbel(size=(SAMPLES, 3, weight.shape[1]))
-        base = np.concatenate([places[triples], np.ones((SAMPLES, 3, 1))], axis=2)
+        triples = usable[np.argsort(rng.random((RANDOM_FIELDS, usable.size)), axis=1)[:, :3]]
+        draw = np.log(np.maximum(weight[triples], 1e-12)) + rng.gumbel(size=(RANDOM_FIELDS, 3, weight.shape[1]))
+        base = np.concatenate([places[triples], np.ones((RANDOM_FIELDS, 3, 1))], axis=2)
         moved = options[triples, np.argmax(draw, axis=2)] - places[triples]
         sound = np.abs(np.linalg.det(base)) > spacing**2 / 2
         gradient = np.linalg.solve(base[sound], moved[sound])
@@ -287,7 +287,7 @@ def _best_field(
     candidates = np.concatenate(fields)
     merit = _merit(places, options, weight, candidates, tolerance, spacing)
     # A translation that explains one storey is where an affine field that explains them all can grow from.
-    grown = [_grow(places, options, weight, candidates[k], tolerance) for k in np.argsort(-merit)[:GROWN]]
+    grown = [_grow(places, options, weight, candidates[k], tolerance) for k in np.argsort(-merit)[:REFITTED_FIELDS]]
     candidates = np.concatenate([candidates[np.argmax(merit)][None], np.stack(grown)])
     best: FloatArray = candidates[np.argmax(_merit(places, options, weight, candidates, tolerance, spacing))]
     return best

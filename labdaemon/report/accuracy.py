@@ -43,7 +43,7 @@ class TargetComparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Accuracy:
+class CaptureAccuracy:
     """Errors of one capture.
 
     Attributes
@@ -66,7 +66,7 @@ class Accuracy:
     pairs: tuple[TargetComparison, ...]
 
 
-def compare(capture: str, rows: Iterable[Mapping[str, Any]], truth: Iterable[Mapping[str, Any]]) -> Accuracy:
+def compare(capture: str, rows: Iterable[Mapping[str, Any]], truth: Iterable[Mapping[str, Any]]) -> CaptureAccuracy:
     """Compare one capture.
 
     Parameters
@@ -81,11 +81,11 @@ def compare(capture: str, rows: Iterable[Mapping[str, Any]], truth: Iterable[Map
     return summary(capture, pairs)
 
 
-def summary(capture: str, pairs: Sequence[TargetComparison]) -> Accuracy:
+def summary(capture: str, pairs: Sequence[TargetComparison]) -> CaptureAccuracy:
     """Statistics of pairs that may come from several captures."""
     good = [pair for pair in pairs if pair.measured_mm is not None and not set(pair.flags) - {"at_rest"}]
     errors = [pair.error_mm for pair in good if pair.error_mm is not None and pair.true_mm >= FLOOR_MM]
-    return Accuracy(
+    return CaptureAccuracy(
         capture=capture,
         targets=len(pairs),
         unflagged=len(good),

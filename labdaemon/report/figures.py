@@ -69,7 +69,7 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     parts: list[str] = []
     left = margin + 14
     for axis, name in views:
-        view = _View(axis, left, margin, scale, low, high)
+        view = _FigureView(axis, left, margin, scale, low, high)
         parts += view.frame(name)
         for (row, _), centre, orbit, length in zip(moving, centres, orbits, lengths, strict=True):
             parts += view.target(row, centre, orbit, length, largest)
@@ -83,7 +83,7 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     )
 
 
-class _View:
+class _FigureView:
     """One orthogonal view: a horizontal axis of object space to the right, Z up."""
 
     def __init__(

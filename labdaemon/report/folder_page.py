@@ -11,7 +11,7 @@ import cv2
 
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing import NOT_FRAMES, Row, read_csv
-from labdaemon.report.accuracy import Accuracy, compare
+from labdaemon.report.accuracy import CaptureAccuracy, compare
 from labdaemon.report.html import CaptureSection, PageImage, write_page
 from labdaemon.report.overlay import overlay_path
 from labdaemon.tomlfile import read_toml
@@ -44,7 +44,7 @@ def envelopes(results: Path) -> dict[str, list[Row]]:
 
 def report_folder(
     folder: Path, *, title: str, subtitle: str = "", truth: Truth | None = None, results: Path | None = None
-) -> tuple[Path, list[Accuracy]]:
+) -> tuple[Path, list[CaptureAccuracy]]:
     """Write the page of a data-set folder.
 
     Parameters

@@ -15,7 +15,7 @@ from typing import Any
 
 from labdaemon.durable import write_durably
 from labdaemon.orbit_size import largest_motion
-from labdaemon.report.accuracy import FLOOR_MM, Accuracy, row_axes, semi_amplitude_sd_mm, summary
+from labdaemon.report.accuracy import FLOOR_MM, CaptureAccuracy, row_axes, semi_amplitude_sd_mm, summary
 from labdaemon.report.figures import MAGNIFY, envelope_svg, errors_svg
 
 _STYLE = """
@@ -88,7 +88,7 @@ class CaptureSection:
     rows: Sequence[Mapping[str, Any]]
     about: Mapping[str, str] = field(default_factory=dict)
     overlays: Sequence[PageImage] = ()
-    accuracy: Accuracy | None = None
+    accuracy: CaptureAccuracy | None = None
 
 
 def write_page(path: Path, title: str, subtitle: str, captures: Sequence[CaptureSection]) -> None:
@@ -141,7 +141,7 @@ def _overview(captures: Sequence[CaptureSection]) -> str:
     return f'<div class="numbers">{cells}</div>'
 
 
-def _accuracy(compared: Sequence[Accuracy]) -> str:
+def _accuracy(compared: Sequence[CaptureAccuracy]) -> str:
     pooled = summary("all", [pair for one in compared for pair in one.pairs])
     head = ("capture", "targets", "unflagged", "compared", "mean error mm", "sd mm", "95 % within mm")
     lines = [

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 POINTS_PER_MM = 72.0 / 25.4
 
 
-class Page:
+class PdfPage:
     """One page. Origin at its lower left corner, x right, y up, millimetres; greys from 0 (ink) to 1 (paper).
 
     Parameters
@@ -70,7 +70,7 @@ class Page:
         return "\n".join(self._content).encode("ascii", "replace")
 
 
-def pdf_bytes(pages: Sequence[Page], title: str) -> bytes:
+def pdf_bytes(pages: Sequence[PdfPage], title: str) -> bytes:
     """A PDF of the pages. Viewers are asked not to scale it when printing."""
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))
     objects = [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labdaemon.errors import UsageError
 from labdaemon.imaging import code_book, dictionary
-from labdaemon.report.pdf import Page, pdf_bytes
+from labdaemon.report.pdf import PdfPage, pdf_bytes
 
 FORMATS_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
 MARGIN_MM = 12.0
@@ -34,7 +34,7 @@ class SheetTarget:
     """
 
     caption: str
-    draw: Callable[[Page, float, float], None]
+    draw: Callable[[PdfPage, float, float], None]
 
 
 def dot(diameter_mm: float) -> SheetTarget:
@@ -57,7 +57,7 @@ def tag(family: str, number: int, size_mm: float) -> SheetTarget:
     dark = cv2.aruco.generateImageMarker(book, number, cells) == 0
     cell = size_mm / cells
 
-    def draw(page: Page, x: float, y: float) -> None:
+    def draw(page: PdfPage, x: float, y: float) -> None:
         # The black square whole and its light cells on top: between dark cells there is then no seam to shine through.
         page.rectangle(x - size_mm / 2.0, y - size_mm / 2.0, size_mm, size_mm)
         for row in range(cells):
@@ -92,7 +92,7 @@ def ring(bits: int, number: int, diameter_mm: float) -> SheetTarget:
     code, r = book[number - 1], diameter_mm / 2.0
     ones = np.array([bool(code >> (bits - 1 - k) & 1) for k in range(bits)])
 
-    def draw(page: Page, x: float, y: float) -> None:
+    def draw(page: PdfPage, x: float, y: float) -> None:
         page.disc(x, y, r)
         # Clockwise on paper from the right. Runs over neighbouring segments leave no seams.
         for first, last in _runs(ones):
@@ -135,9 +135,9 @@ def sheets(targets: Sequence[SheetTarget], label_mm: float, *, paper: str = "a4"
     step_x, step_y = label_mm + _GAP_MM, label_mm + _GAP_MM
     left = (width - across * step_x + _GAP_MM) / 2.0
     top = height - MARGIN_MM
-    pages: list[Page] = []
+    pages: list[PdfPage] = []
     for first in range(0, len(targets), across * up):
-        page = Page(width, height)
+        page = PdfPage(width, height)
         for place, target in enumerate(targets[first : first + across * up]):
             row, column = divmod(place, across)
             x, y = left + column * step_x, top - row * step_y - label_mm
@@ -173,14 +173,14 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _crop_marks(page: Page, x: float, y: float, side: float) -> None:
+def _crop_marks(page: PdfPage, x: float, y: float, side: float) -> None:
     for cx, away_x in ((x, -1.0), (x + side, 1.0)):
         for cy, away_y in ((y, -1.0), (y + side, 1.0)):
             page.line(cx + 0.3 * away_x, cy, cx + 2.2 * away_x, cy)
             page.line(cx, cy + 0.3 * away_y, cx, cy + 2.2 * away_y)
 
 
-def _bars(page: Page) -> None:
+def _bars(page: PdfPage) -> None:
     """A bar below and one at the left: printers stretch the two directions differently."""
     x, y = (page.width_mm - BAR_MM) / 2.0, 6.0
     page.line(x, y, x + BAR_MM, y, 0.2)

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from labdaemon.bench import accuracy, simulator
 from labdaemon.bench.accuracy_text import document, lines
-from labdaemon.bench.cases import Case, cases
+from labdaemon.bench.cases import AccuracyCase, cases
 from labdaemon.bench.chart import draw
 from labdaemon.cli.bench import bench
 from labdaemon.errors import UsageError
@@ -21,9 +21,9 @@ TINY = {"size": "small", "targets": 6, "amplitude_mm": (0.5, 2.0), "diameters_mm
 @pytest.fixture
 def tiny_programme(monkeypatch: pytest.MonkeyPatch) -> None:
     programme = [
-        Case("pooled", "pooled", TINY, pooled=True),
-        Case("phase", "phase", {**TINY, "exposure_s": 1.1, "phase_rad": (0.0, 1.5708)}),
-        Case("part-unknown", "part cycles", {**TINY, "exposure_s": 1.074, "tell": "window"}),
+        AccuracyCase("pooled", "pooled", TINY, pooled=True),
+        AccuracyCase("phase", "phase", {**TINY, "exposure_s": 1.1, "phase_rad": (0.0, 1.5708)}),
+        AccuracyCase("part-unknown", "part cycles", {**TINY, "exposure_s": 1.074, "tell": "window"}),
     ]
     monkeypatch.setattr(accuracy, "cases", lambda quick: programme)
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from labdaemon.bench.interlock import Latencies, Proxy, run
+from labdaemon.bench.interlock import RecordingProxy, StopLatencies, run
 
 
 @pytest.mark.parametrize(
@@ -15,11 +15,11 @@ from labdaemon.bench.interlock import Latencies, Proxy, run
     ],
 )
 def test_only_what_brings_the_table_down_counts(passed: list[tuple[float, bytes]], at: float | None):
-    assert Proxy("localhost", 1, passed).first_stop_after(1.0) == at
+    assert RecordingProxy("localhost", 1, passed).first_stop_after(1.0) == at
 
 
 def test_the_percentile_is_of_all():
-    assert Latencies((0.01,) * 99, (0.5,)).p99_s == 0.5
+    assert StopLatencies((0.01,) * 99, (0.5,)).p99_s == 0.5
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import json
 from click.testing import CliRunner
 
 from labdaemon.bench.world import command as world
-from labdaemon.bench.world.row import Row, WorldOptions, table_of
+from labdaemon.bench.world.row import WorldOptions, WorldRow, table_of
 from labdaemon.bench.world.sections import SECTIONS, section
 
 
@@ -19,8 +19,8 @@ def test_the_table_and_the_exit_status_report_what_does_not_hold(monkeypatch):
 
     def rows(options: WorldOptions):
         seen.append(options)
-        yield Row("endings", "SIGKILL", 2, "at rest after 0.31 s", "<= 2 s", True)
-        yield Row("endings", "a|b", 2, "at rest after 3.00 s", "<= 2 s", False)
+        yield WorldRow("endings", "SIGKILL", 2, "at rest after 0.31 s", "<= 2 s", True)
+        yield WorldRow("endings", "a|b", 2, "at rest after 3.00 s", "<= 2 s", False)
 
     monkeypatch.setattr(world, "section", lambda name: rows)
     done = CliRunner().invoke(world.command, ["--section", "endings", "--quick", "--seed", "7", "--json"])

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import random
 
-from labdaemon.bench.world.fuzz import CAMPAIGN, Findings
+from labdaemon.bench.world.fuzz import CAMPAIGN, FuzzFindings
 from labdaemon.bench.world.mutations import message, mutated_bytes, mutated_text
 from labdaemon.bench.world.stopping import Wire
 from labdaemon.campaign.campaign_file import load_campaign
@@ -33,17 +33,17 @@ def test_mutations_follow_their_seed_and_are_refused_in_a_line():
 
 
 def test_findings_are_judged():
-    found = Findings()
+    found = FuzzFindings()
     found.add("good", report(0, "a note\nanother\n"))
     found.add("refused", report(2, "labdaemon: x: is missing\n"))
     assert found.row("files").holds
     assert "1 refused, 0 not as they must be" in found.row("files").result
     for bad in (report("hang"), report(2, "two\nlines"), report(1, ""), report(0, "Traceback (most recent call last)")):
-        judged = Findings()
+        judged = FuzzFindings()
         judged.add("bad", bad)
         assert not judged.row("files").holds
     for costly in (report(0, seconds=11.0), report(0, memory_mb=600.0)):
-        judged = Findings()
+        judged = FuzzFindings()
         judged.add("costly", costly)
         assert not judged.row("files").holds
 

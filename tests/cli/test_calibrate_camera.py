@@ -13,10 +13,10 @@ from labdaemon.cli.calibrate import calibrate
 from labdaemon.cli.calibrate_camera import camera_table
 from labdaemon.errors import DataError, UsageError
 from labdaemon.geometry.lens import Lens
-from labdaemon.processing.calibration import Calibration
+from labdaemon.processing.calibration import CameraCalibration
 from labdaemon.report.residuals import draw_residuals
 
-RESULT = Calibration(
+RESULT = CameraCalibration(
     Lens((3872, 2592), (3937.7, 3938.1), (1942.8, 1283.7), (-0.09, 0.07, 3e-4, -2e-4, 0.001)),
     np.array([0.3, 0.3, 0.4, 0.5, 1e-4, 2e-4, 3e-6, 4e-6, 5e-4]),
     0.087,

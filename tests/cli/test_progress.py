@@ -94,11 +94,11 @@ def test_a_silent_daemon_is_reported_once_and_so_is_its_return(capsys: pytest.Ca
         progress.show(HEARTBEAT)
         for _ in range(6):
             clock.now_s += 1.0
-            progress.look()
+            progress.check_silence()
         progress.show(HEARTBEAT)
-    silent, heard = capsys.readouterr().out.splitlines()
+    silent, note_heartbeat = capsys.readouterr().out.splitlines()
     assert "SILENT     no heartbeat for 3 s" in silent
-    assert "HEARD      the daemon again, after 6 s" in heard
+    assert "HEARD      the daemon again, after 6 s" in note_heartbeat
 
 
 def test_the_live_line_of_a_silent_daemon_shows_its_age(
@@ -110,7 +110,7 @@ def test_the_live_line_of_a_silent_daemon_shows_its_age(
     with Progress(monotonic=clock) as progress:
         progress.show(HEARTBEAT)
         clock.now_s += 75.0
-        progress.look()
+        progress.check_silence()
     shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().out)
     assert "SILENT for 1:15, last known: running" in shown
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from labdrivers.ptp.container import (
     BadContainer,
-    Reader,
+    DatasetReader,
     pack,
     pack_parameters,
     pack_string,
@@ -32,7 +32,7 @@ def test_containers_as_the_standard_prints_them():
 
 @given(st.text(st.characters(min_codepoint=1, max_codepoint=0xD7FF), max_size=100))
 def test_strings(text):
-    assert Reader(pack_string(text)).string() == text
+    assert DatasetReader(pack_string(text)).string() == text
 
 
 @given(st.sampled_from(PARSERS), st.binary(max_size=300))

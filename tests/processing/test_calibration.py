@@ -14,11 +14,11 @@ from labdaemon.geometry.network import Pose
 from labdaemon.geometry.oriented_camera import rotation_from_vector
 from labdaemon.imaging.codes import dictionary
 from labdaemon.imaging.rings import code_book
-from labdaemon.processing.boards import BoardImage, Charuco
-from labdaemon.processing.calibration import board_files, calibrate, read_board, weaknesses
+from labdaemon.processing.boards import BoardImage, CharucoBoard
+from labdaemon.processing.calibration import board_files, calibrate, find_weaknesses, read_board
 
 LENS = Lens((960, 640), (1000.0, 1002.0), (484.0, 316.0), (-0.12, 0.08, 4e-4, -3e-4, 0.0))
-BOARD = Charuco(9, 6)
+BOARD = CharucoBoard(9, 6)
 
 
 def poses(count: int, *, rolled: bool = True, tilted: bool = True, distance: float = 7.5) -> list[Pose]:
@@ -189,30 +189,30 @@ class TestWeakSets:
         return np.column_stack([x.ravel(), y.ravel()])
 
     def test_a_good_set_has_none(self) -> None:
-        assert weaknesses(LENS, self.sd(), poses(12), self.pixels()) == []
+        assert find_weaknesses(LENS, self.sd(), poses(12), self.pixels()) == []
 
     def test_too_few(self) -> None:
-        assert "only 5 photographs" in weaknesses(LENS, self.sd(), poses(5), self.pixels())[0]
+        assert "only 5 photographs" in find_weaknesses(LENS, self.sd(), poses(5), self.pixels())[0]
 
     def test_no_rolled_views(self) -> None:
-        found = weaknesses(LENS, self.sd(), poses(12, rolled=False), self.pixels())
+        found = find_weaknesses(LENS, self.sd(), poses(12, rolled=False), self.pixels())
         assert [line[:15] for line in found] == ["no rolled views"]
 
     def test_no_tilted_views(self) -> None:
-        found = weaknesses(LENS, self.sd(), poses(12, tilted=False), self.pixels())
+        found = find_weaknesses(LENS, self.sd(), poses(12, tilted=False), self.pixels())
         assert len(found) == 1
         assert "tilt the board" in found[0]
 
     def test_uncovered_corners(self) -> None:
         pixels = self.pixels()
         pixels = pixels[~((pixels[:, 0] > 700) & (pixels[:, 1] < 200))]
-        found = weaknesses(LENS, self.sd(), poses(12), pixels)
+        found = find_weaknesses(LENS, self.sd(), poses(12), pixels)
         assert [line.split(" corner")[0] for line in found] == ["no point in the top-right"]
 
     def test_a_lens_that_is_hardly_known(self) -> None:
         sd = self.sd()
         sd[0] = 5.0
-        assert "add photographs" in weaknesses(LENS, sd, poses(12), self.pixels())[0]
+        assert "add photographs" in find_weaknesses(LENS, sd, poses(12), self.pixels())[0]
 
 
 class TestBadInput:
@@ -247,11 +247,11 @@ class TestBadInput:
     @pytest.mark.parametrize("text", ["9", "9x", "2x5", "axb", "9x6x3"])
     def test_a_board_that_is_none(self, text: str) -> None:
         with pytest.raises(UsageError, match="squares across and down"):
-            Charuco.parse(text, 0.75, "aruco-4x4-100")
+            CharucoBoard.parse(text, 0.75, "aruco-4x4-100")
 
     def test_a_marker_larger_than_its_square(self) -> None:
         with pytest.raises(UsageError, match="parts of a square"):
-            Charuco.parse("9x6", 22.0, "aruco-4x4-100")
+            CharucoBoard.parse("9x6", 22.0, "aruco-4x4-100")
 
     def test_pictures_that_say_nothing_of_the_lens(self) -> None:
         pictures, _ = board_numbers(4)

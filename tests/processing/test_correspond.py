@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.processing.correspond import DetectedDots, Track, correspond, intersect_rays
-from labdaemon.processing.naming import names_in_image, names_in_space, names_like, near_places
+from labdaemon.processing.naming import keep_names, match_places, names_in_image, names_in_space
 
 LENS = Lens((3872, 2592), (3937.0, 3937.0), (1935.0, 1295.0), (-0.09, 0.07, 0.0003, -0.0002, 0.0))
 FAR_LEFT, FAR_RIGHT, ABOVE = (-500.0, -1000.0, 350.0), (500.0, -1000.0, 350.0), (0.0, -1000.0, 750.0)
@@ -112,7 +112,7 @@ def test_names_go_by_place_and_stay() -> None:
     moved = places[order] + np.random.default_rng(1).normal(0, 0.5, places.shape)
     assert names_in_space(moved) == [names[i] for i in order]
     later = np.concatenate([moved[3:], [[900.0, 0.0, 900.0]]])
-    again = names_like(later, places, tuple(names), 15.0)
+    again = keep_names(later, places, tuple(names), 15.0)
     assert again[:-1] == [names[i] for i in order[3:]]
     assert again[-1] not in names
     assert names_in_image(np.array([[500.0, 90.0], [10.0, 100.0], [20.0, 400.0]])) == ["T02", "T01", "T03"]
@@ -125,7 +125,7 @@ def test_approximate_places_name_dots_where_they_lie(off_mm: float) -> None:
     view = look(FAR_LEFT)
     dots, who = see(view, places, sizes, np.random.default_rng(4), lost=3, clutter=0)
     wanted = places + np.array([off_mm, 0.0, -off_mm])
-    found = near_places(dots, np.concatenate([wanted, [[0.0, -5000.0, 350.0]]]))
+    found = match_places(dots, np.concatenate([wanted, [[0.0, -5000.0, 350.0]]]))
     assert found[-1] == -1
     for target, dot in enumerate(found[:-1]):
         assert (who[dot] if dot >= 0 else -1) == (target if target in who else -1)

@@ -11,7 +11,7 @@ import pytest
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import transitions
 from labdaemon.journal.journal import Journal
-from labdaemon.processing.results_place import ResultsPlace, process_in_use
+from labdaemon.processing.results_place import ResultsFolders, process_in_use
 
 
 @pytest.fixture
@@ -31,23 +31,23 @@ def folder(journal: Journal) -> Path:
 
 
 def test_a_folder_of_nobody_is_written_to_as_always(tmp_path: Path):
-    assert ResultsPlace.of(tmp_path).choose() == (tmp_path / "results", None)
+    assert ResultsFolders.of(tmp_path).choose() == (tmp_path / "results", None)
 
 
 @pytest.mark.parametrize("state", ["running", "paused"])
 def test_a_campaign_that_has_not_ended_keeps_its_results(journal: Journal, folder: Path, state: str):
     if state == "paused":
         transitions.move_campaign(journal, "0001-x", "paused")
-    out, why = ResultsPlace.of(folder).choose()
+    out, why = ResultsFolders.of(folder).choose()
     assert out == folder / "results-2"
     assert f"process {os.getpid()}" in (why or "")
     out.mkdir()
-    assert ResultsPlace.of(folder).choose()[0] == folder / "results-3"
+    assert ResultsFolders.of(folder).choose()[0] == folder / "results-3"
 
 
 def test_a_campaign_that_has_ended_is_written_to(journal: Journal, folder: Path):
     transitions.move_campaign(journal, "0001-x", "aborted")
-    assert ResultsPlace.of(folder).choose() == (folder / "results", None)
+    assert ResultsFolders.of(folder).choose() == (folder / "results", None)
 
 
 def test_a_daemon_that_has_died_keeps_nothing(journal: Journal, folder: Path):
@@ -65,7 +65,7 @@ def test_a_journal_that_cannot_be_asked_may_be_in_use(journal: Journal, folder: 
 @pytest.mark.parametrize("name", ["envelope.csv", "measurements.csv"])
 def test_files_that_changed_meanwhile_are_left_alone(tmp_path: Path, name: str):
     (tmp_path / "results").mkdir()
-    place = ResultsPlace.of(tmp_path)
+    place = ResultsFolders.of(tmp_path)
     (tmp_path / "results" / name).write_text("another's")
     out, why = place.choose()
     assert out == tmp_path / "results-2"

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from labdaemon.report.pdf import Page, pdf_bytes
+from labdaemon.report.pdf import PdfPage, pdf_bytes
 
 
-def outline(page: Page) -> np.ndarray:
+def outline(page: PdfPage) -> np.ndarray:
     """Points on the paths of a page, (n, 2) mm, by evaluating its operators."""
     points: list[tuple[float, float]] = []
     for line in page.stream().decode().splitlines()[1:]:
@@ -24,10 +24,10 @@ def outline(page: Page) -> np.ndarray:
 
 
 def test_discs_and_sectors_are_round_to_a_micrometre() -> None:
-    page = Page(210, 297)
+    page = PdfPage(210, 297)
     page.disc(50.0, 60.0, 6.0)
     assert np.hypot(*(outline(page) - [50, 60]).T) == pytest.approx(6.0, abs=2e-5)
-    page = Page(210, 297)
+    page = PdfPage(210, 297)
     page.sector(50.0, 60.0, 8.0, 12.0, 0.3, -0.9)
     radii = np.hypot(*(outline(page) - [50, 60]).T)
     assert np.minimum(np.abs(radii - 8.0), np.abs(radii - 12.0)) == pytest.approx(0.0, abs=2e-5)
@@ -36,7 +36,7 @@ def test_discs_and_sectors_are_round_to_a_micrometre() -> None:
 
 
 def test_the_cross_reference_table_points_at_every_object() -> None:
-    pages = [Page(210, 297), Page(297, 210)]
+    pages = [PdfPage(210, 297), PdfPage(297, 210)]
     pages[0].text(10, 10, r"a (b) \c")
     data = pdf_bytes(pages, "sheet (1)")
     assert data == pdf_bytes(pages, "sheet (1)")
@@ -52,6 +52,6 @@ def test_the_cross_reference_table_points_at_every_object() -> None:
 
 
 def test_a_page_is_as_large_as_its_paper() -> None:
-    data = pdf_bytes([Page(210, 297)], "x")
+    data = pdf_bytes([PdfPage(210, 297)], "x")
     width, height = (float(v) for v in re.search(rb"MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", data).groups())  # type: ignore[union-attr]
     assert (width * 25.4 / 72, height * 25.4 / 72) == pytest.approx((210, 297), abs=1e-4)

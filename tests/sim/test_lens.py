@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from labdrivers.sim.lens import CameraModel, Shift
+from labdrivers.sim.lens import CameraModel, SensorShift
 
 
 def a_camera() -> CameraModel:
@@ -45,6 +45,6 @@ def test_axes_are_right_handed_and_the_aim_is_near_the_middle() -> None:
 
 def test_shift_rolls_about_the_middle_of_the_image() -> None:
     middle = np.array([[1949.5, 1306.0]])
-    np.testing.assert_allclose(Shift(2.0, -1.0, 0.3).apply(middle, (3900, 2613)), middle + np.array([2.0, -1.0]))
-    right = Shift(0.0, 0.0, np.pi / 2).apply(middle + np.array([10.0, 0.0]), (3900, 2613))
+    np.testing.assert_allclose(SensorShift(2.0, -1.0, 0.3).apply(middle, (3900, 2613)), middle + np.array([2.0, -1.0]))
+    right = SensorShift(0.0, 0.0, np.pi / 2).apply(middle + np.array([10.0, 0.0]), (3900, 2613))
     np.testing.assert_allclose(right, middle + np.array([0.0, 10.0]), atol=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from labdrivers.sim.structure import DEFAULT_MODES, HEIGHT_MM, Mode
+from labdrivers.sim.structure import DEFAULT_MODES, HEIGHT_MM, VibrationMode
 from labdrivers.sim.table import TableSpec, rest_before
 
 COMMANDS = ((0.3, 5.0, 0.5), (1.1, 5.0, 0.9), (2.05, 8.3, 0.4), (3.0, 8.3, 0.0))
@@ -41,7 +41,7 @@ def test_modes_follow_their_equation_through_changes_of_command() -> None:
 
 
 def test_steady_response_has_the_textbook_magnification() -> None:
-    mode, spec = Mode(8.0, 0.02, 1, (1.0, 0.0)), TableSpec()
+    mode, spec = VibrationMode(8.0, 0.02, 1, (1.0, 0.0)), TableSpec()
     history = rest_before((mode,)).then(0.0, spec, frequency_hz=7.0, level_v=1.0, phase_rad=0.0)
     t = 60.0 + np.linspace(0.0, 1.0, 700, endpoint=False)
     table, q = history.evaluate(t)
@@ -51,7 +51,7 @@ def test_steady_response_has_the_textbook_magnification() -> None:
 
 
 def test_ring_down_takes_as_long_as_damping_says() -> None:
-    mode, spec = Mode(5.0, 0.01, 1, (1.0, 0.0)), TableSpec()
+    mode, spec = VibrationMode(5.0, 0.01, 1, (1.0, 0.0)), TableSpec()
     history = rest_before((mode,)).then(0.0, spec, frequency_hz=5.0, level_v=1.0, phase_rad=0.0)
     history = history.then(60.0, spec, frequency_hz=5.0, level_v=0.0, phase_rad=0.0)
     after = np.log(1000.0) / (0.01 * 2 * np.pi * 5.0)
@@ -61,6 +61,6 @@ def test_ring_down_takes_as_long_as_damping_says() -> None:
 
 
 def test_shapes_start_at_the_table_and_torsion_turns_the_top() -> None:
-    mode = Mode(8.0, 0.01, 1, (0.0, 0.0), 1e-3)
+    mode = VibrationMode(8.0, 0.01, 1, (0.0, 0.0), 1e-3)
     top = mode.shape(np.array([[150.0, -100.0, HEIGHT_MM], [-150.0, 100.0, HEIGHT_MM], [150.0, -100.0, 0.0]]))
     np.testing.assert_allclose(top, [[0.1, 0.15, 0.0], [-0.1, -0.15, 0.0], [0.0, 0.0, 0.0]], atol=1e-12)

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdrivers.sim.lens import CameraModel, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, SensorShift
 from labdrivers.sim.optics import Optics
-from labdrivers.sim.path import Path, View, follow
+from labdrivers.sim.path import CameraView, MotionPath, follow
 from labdrivers.sim.scene import Scene, SceneTarget
 from labdrivers.sim.smear import blur_target
-from labdrivers.sim.window import Window, develop, dwell_map
+from labdrivers.sim.window import PixelWindow, develop, dwell_map
 
 FOCAL = 3934.4
 LENS = Optics("gaussian", sigma_px=0.8)
@@ -28,9 +28,9 @@ def frontal(distortion: tuple[float, float, float, float, float] = (0.0,) * 5) -
 def ink_moments(x_mm: float, z_mm: float, motion: Motion | None, fine: int = 4) -> FloatArray:
     """Area, centroid and central second moments (xx, yy, xy) of the dot's ink on the sensor, green."""
     scene = Scene((SceneTarget("A", (x_mm, 0.0, z_mm)),), texture=0.0)
-    view = View(frontal(), Shift())
+    view = CameraView(frontal(), SensorShift())
     rest = np.array([x_mm, 0.0, z_mm])
-    path = Path.at_rest(0.5) if motion is None else follow(view, rest, motion, (0.0, 1.0))
+    path = MotionPath.at_rest(0.5) if motion is None else follow(view, rest, motion, (0.0, 1.0))
     smear = blur_target(scene, 0, view, path, fine)
     assert smear is not None
     window = smear.ink.window
@@ -94,7 +94,7 @@ def test_twice_the_sampling_changes_nothing() -> None:
 
 
 def test_dwell_map_keeps_time_place_and_spread() -> None:
-    window = Window(0, 0, 24, 20)
+    window = PixelWindow(0, 0, 24, 20)
     rng = np.random.default_rng(3)
     offsets = rng.normal(0.0, 1.3, (500, 2))
     weights = rng.uniform(0.5, 1.5, 500) / 500
@@ -113,7 +113,7 @@ def test_a_label_may_stay_behind_its_dot() -> None:
     def motion(t: FloatArray) -> FloatArray:
         return np.stack([3.0 * np.sin(2 * np.pi * 5 * t), 0.0 * t, 0.0 * t], axis=1)
 
-    view, rest = View(frontal(), Shift()), np.zeros(3)
+    view, rest = CameraView(frontal(), SensorShift()), np.zeros(3)
     path = follow(view, rest, motion, (0.0, 1.0))
     images = {}
     for still in (False, True):

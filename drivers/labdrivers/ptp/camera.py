@@ -27,7 +27,7 @@ from labdrivers.ptp.power_cycle import PowerCycle
 from labdrivers.ptp.session import PtpRefused, PtpSession
 from labdrivers.ptp.transport import UsbPipe
 from labdrivers.ptp.watch import FileWatch
-from labdrivers.settings import Settings, read_settings
+from labdrivers.settings import DriverSettings, read_settings
 
 OTHERS_KEYS = frozenset(
     {"driver", "exposure_s", "f_number", "iso", "image_size", "focal_px", "principal_point_px", "distortion"}
@@ -36,7 +36,7 @@ OTHERS_KEYS = frozenset(
 WAKE_POLL_S = 0.25
 
 
-class PtpSettings(Settings):
+class PtpSettings(DriverSettings):
     """``[cameras.NAME]`` of the rig file for ``driver = "ptp"``."""
 
     serial: str = Field(min_length=1)

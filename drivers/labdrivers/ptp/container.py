@@ -22,7 +22,7 @@ class BadContainer(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class ContainerHeader:
     """First twelve bytes of a container."""
 
     length: int
@@ -31,14 +31,14 @@ class Header:
     transaction: int
 
 
-def read_header(data: bytes | bytearray) -> Header:
+def read_header(data: bytes | bytearray) -> ContainerHeader:
     """Parse the header; raises `BadContainer` for bytes that can be none."""
     if len(data) < HEADER.size:
         raise BadContainer(f"{len(data)} bytes are no container")
     length, kind, code, transaction = HEADER.unpack_from(data)
     if kind not in (1, 2, 3, 4) or length < HEADER.size:
         raise BadContainer(f"{bytes(data[:12]).hex()} is no container's header")
-    return Header(length, kind, code, transaction)
+    return ContainerHeader(length, kind, code, transaction)
 
 
 def pack(kind: int, code: int, transaction: int, payload: bytes = b"") -> bytes:
@@ -65,7 +65,7 @@ def pack_string(text: str) -> bytes:
     return bytes([len(encoded) // 2]) + encoded
 
 
-class Reader:
+class DatasetReader:
     """Reads values one after the other from a dataset; raises `BadContainer` past its end."""
 
     def __init__(self, data: bytes, offset: int = 0) -> None:

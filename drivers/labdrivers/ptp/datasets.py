@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from labdrivers.ptp.codes import FORMAT_FOLDER
-from labdrivers.ptp.container import Reader
+from labdrivers.ptp.container import DatasetReader
 
 RANGE, ENUMERATION = 1, 2
 LONGEST_RANGE = 4096
@@ -26,7 +26,7 @@ class DeviceInfo:
     @classmethod
     def parse(cls, data: bytes) -> DeviceInfo:
         """From the dataset's bytes."""
-        reader = Reader(data)
+        reader = DatasetReader(data)
         reader.u16(), reader.u32(), reader.u16()
         reader.string()
         reader.u16()
@@ -46,7 +46,7 @@ class StorageInfo:
     @classmethod
     def parse(cls, data: bytes) -> StorageInfo:
         """From the dataset's bytes: capacity at 6, free bytes at 14."""
-        reader = Reader(data, 6)
+        reader = DatasetReader(data, 6)
         return cls(reader.u64(), reader.u64())
 
 
@@ -70,10 +70,10 @@ class ObjectInfo:
     @classmethod
     def parse(cls, data: bytes) -> ObjectInfo:
         """From the dataset's bytes: size at 8, parent at 38, name at 52."""
-        head = Reader(data)
+        head = DatasetReader(data)
         storage, form = head.u32(), head.u16()
-        size, parent = Reader(data, 8).u32(), Reader(data, 38).u32()
-        tail = Reader(data, 52)
+        size, parent = DatasetReader(data, 8).u32(), DatasetReader(data, 38).u32()
+        tail = DatasetReader(data, 52)
         return cls(storage, form, size, parent, tail.string(), iso_time(tail.string()))
 
 
@@ -100,7 +100,7 @@ class PropertyDescription:
     @classmethod
     def parse(cls, data: bytes) -> PropertyDescription:
         """From the dataset's bytes."""
-        reader = Reader(data)
+        reader = DatasetReader(data)
         code, type_code, writable = reader.u16(), reader.u16(), reader.u8() == 1
         reader.value(type_code)  # factory default
         current = reader.value(type_code)

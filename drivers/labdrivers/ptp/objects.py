@@ -9,7 +9,7 @@ from pathlib import Path
 from labdaemon.capture.devices import CardFile
 from labdaemon.errors import DeviceRefused, ProtocolError
 from labdrivers.ptp.codes import ALL_STORAGES, Op, Response
-from labdrivers.ptp.container import Reader
+from labdrivers.ptp.container import DatasetReader
 from labdrivers.ptp.datasets import ObjectInfo, StorageInfo
 from labdrivers.ptp.session import PtpRefused, PtpSession
 
@@ -19,7 +19,7 @@ BLOCK_BYTES = 1 << 20
 def list_handles(session: PtpSession) -> tuple[int, ...]:
     """Handles of all objects on all cards, folders included; none when there is no card."""
     try:
-        return Reader(session.call(Op.GET_OBJECT_HANDLES, ALL_STORAGES, 0, 0).data).array("<I")
+        return DatasetReader(session.call(Op.GET_OBJECT_HANDLES, ALL_STORAGES, 0, 0).data).array("<I")
     except PtpRefused as exc:
         if exc.code == Response.BAD_STORAGE:
             return ()
@@ -72,7 +72,7 @@ def free_bytes(session: PtpSession) -> int | None:
     """Free space of all cards together, None if the body does not tell."""
     if not session.supports(Op.GET_STORAGE_INFO):
         return None
-    ids = Reader(session.call(Op.GET_STORAGE_IDS).data).array("<I")
+    ids = DatasetReader(session.call(Op.GET_STORAGE_IDS).data).array("<I")
     cards = [storage for storage in ids if storage & 0xFFFF]  # a zero low half is a slot without a card
     return sum(StorageInfo.parse(session.call(Op.GET_STORAGE_INFO, card).data).free_bytes for card in cards)
 

@@ -19,7 +19,7 @@ import usb.util
 
 from labdaemon.errors import ProtocolError, TransportError
 from labdrivers.ptp.codes import ContainerKind
-from labdrivers.ptp.container import HEADER, UNKNOWN_LENGTH, BadContainer, Header, read_header
+from labdrivers.ptp.container import HEADER, UNKNOWN_LENGTH, BadContainer, ContainerHeader, read_header
 
 STILL_IMAGE = 6
 CANCEL, RESET, STATUS = 0x64, 0x66, 0x67
@@ -88,7 +88,7 @@ class UsbPipe:
             if len(container) % self._out.wMaxPacketSize == 0:
                 self._out.write(b"", _ms(timeout_s))
 
-    def receive(self, deadline: float, *, first: bool = True) -> tuple[Header, bytes]:
+    def receive(self, deadline: float, *, first: bool = True) -> tuple[ContainerHeader, bytes]:
         """Read one container.
 
         Parameters

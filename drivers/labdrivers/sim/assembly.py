@@ -14,7 +14,7 @@ from pathlib import Path
 
 from labdrivers.sim.faults import Faults
 from labdrivers.sim.gauge_device import GaugeDevice
-from labdrivers.sim.ptp_card import Card
+from labdrivers.sim.ptp_card import MemoryCard
 from labdrivers.sim.ptp_device import PtpBody
 from labdrivers.sim.render_pool import RenderPool
 from labdrivers.sim.rig import RigModel
@@ -106,7 +106,7 @@ class SimulatedRig:
         self.bus = SimulatedBus()
         bodies = []
         for name, camera in self.rig.spec.cameras.items():
-            card = Card(None if cards is None else cards / name)
+            card = MemoryCard(None if cards is None else cards / name)
             body = PtpBody(camera.serial, RigCamera(self.rig, name, self._pool), card=card, clock=self.clock)
             bodies.append(body)
             self.bus.add(name, UsbCamera(body))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdrivers.sim.lens import FloatArray
-from labdrivers.sim.path import View, moments
+from labdrivers.sim.path import CameraView, moments
 from labdrivers.sim.scene import Panel, Scene
 from labdrivers.sim.sensor import FloatImage
 
@@ -76,7 +76,7 @@ def clutter(seed: int, count: int) -> NDArray[np.uint8]:
 
 
 @lru_cache(maxsize=4)
-def far_wall(seed: int, count: int, view: View, width: int, height: int) -> NDArray[np.uint8]:
+def far_wall(seed: int, count: int, view: CameraView, width: int, height: int) -> NDArray[np.uint8]:
     """The wall as a camera sees it, (height, width, 3) at half resolution, its lens's distortion aside."""
     x, z = np.array(WALL_X_MM), np.array(WALL_Z_MM)
     wall = np.array(
@@ -86,7 +86,7 @@ def far_wall(seed: int, count: int, view: View, width: int, height: int) -> NDAr
     rows, columns = drawn.shape[:2]
     corners = np.array([(0, 0), (columns - 1, 0), (columns - 1, rows - 1), (0, rows - 1)], np.float32)
     straight = replace(view.camera, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
-    seen = View(straight, view.shift).project(wall)
+    seen = CameraView(straight, view.shift).project(wall)
     there = cv2.getPerspectiveTransform(corners, ((seen - 0.5) / HALF).astype(np.float32))
     image = np.asarray(
         cv2.warpPerspective(drawn, there, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT),
@@ -98,7 +98,7 @@ def far_wall(seed: int, count: int, view: View, width: int, height: int) -> NDAr
 
 def backdrop(
     scene: Scene,
-    view: View,
+    view: CameraView,
     motion: Callable[[FloatArray], FloatArray] | None,
     window_s: tuple[float, float],
     blur_px: float,

@@ -10,8 +10,8 @@ import numpy as np
 
 from labdrivers.sim.dng import write_dng
 from labdrivers.sim.lamp import LampPlay, play_code
-from labdrivers.sim.layout import Layout, make_layout
-from labdrivers.sim.lens import CameraModel, FloatArray, Shift
+from labdrivers.sim.layout import SceneLayout, make_layout
+from labdrivers.sim.lens import CameraModel, FloatArray, SensorShift
 from labdrivers.sim.motions import Harmonic, random_motions
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.render import render_frame
@@ -262,9 +262,9 @@ def _write(file: Path, mosaic: Mosaic, sensor: Sensor, exposure_s: float) -> Non
     )
 
 
-def _shift(rng: np.random.Generator, size_px: float) -> Shift:
+def _shift(rng: np.random.Generator, size_px: float) -> SensorShift:
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    return Shift(size_px * float(np.cos(angle)), size_px * float(np.sin(angle)), 2e-5 * size_px)
+    return SensorShift(size_px * float(np.cos(angle)), size_px * float(np.sin(angle)), 2e-5 * size_px)
 
 
 def _cables(scene: Scene, camera: CameraModel, rng: np.random.Generator, count: int) -> tuple[Occluder, ...]:
@@ -282,7 +282,7 @@ def _cables(scene: Scene, camera: CameraModel, rng: np.random.Generator, count: 
     return tuple(hung)
 
 
-def _rig_toml(layout: Layout, diameters_mm: tuple[float, ...]) -> str:
+def _rig_toml(layout: SceneLayout, diameters_mm: tuple[float, ...]) -> str:
     lines = []
     for name, camera in layout.cameras.items():
         lines += [
@@ -299,7 +299,7 @@ def _rig_toml(layout: Layout, diameters_mm: tuple[float, ...]) -> str:
     return "\n".join(lines)
 
 
-def _control_csv(layout: Layout, sd_mm: float, rng: np.random.Generator) -> str:
+def _control_csv(layout: SceneLayout, sd_mm: float, rng: np.random.Generator) -> str:
     lines = ["name,x_mm,y_mm,z_mm,sd_mm"]
     for tag in layout.scene.tags:
         x, y, z = np.asarray(tag.centre_mm) + rng.normal(0.0, sd_mm, 3)

@@ -21,7 +21,7 @@ CAMERA_NAMES = {1: ("front",), 2: ("left", "right"), 3: ("left", "right", "top")
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class SceneLayout:
     """A scene and the cameras before it.
 
     Attributes
@@ -52,7 +52,7 @@ def make_layout(
     still_paper: bool,
     gradient: tuple[float, float],
     distance_mm: float,
-) -> Layout:
+) -> SceneLayout:
     """Place everything.
 
     With one camera all targets and control targets lie in the plane y = 0; with more they are spread in depth.
@@ -150,7 +150,7 @@ def make_layout(
             distortion=DISTORTION,
             roll_rad=float(rng.uniform(-0.02, 0.02)),
         )
-    return Layout(scene, seen, pixel_um)
+    return SceneLayout(scene, seen, pixel_um)
 
 
 def _panels(scale: float, columns: int, pitch_x: float) -> tuple[Panel, ...]:

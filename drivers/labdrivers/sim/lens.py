@@ -86,7 +86,7 @@ class CameraModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Shift:
+class SensorShift:
     """How a frame sits on the sensor against where the camera was surveyed: mirror slap, a knocked tripod.
 
     Attributes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labdrivers.sim.lens import CameraModel, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, SensorShift
 
 STEP_PX = 0.05
 """Moments of the exposure lie no farther apart than this along the path."""
@@ -19,11 +19,11 @@ CODED_MOMENTS, MOMENT_PARTS = 6_000, 16
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CameraView:
     """A camera as it stood for one frame."""
 
     camera: CameraModel
-    shift: Shift
+    shift: SensorShift
 
     def project(self, points_mm: FloatArray) -> FloatArray:
         """Image points (n, 2) of object points (n, 3)."""
@@ -31,7 +31,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class MotionPath:
     """Where something was at many equally long moments of the exposure.
 
     Attributes
@@ -49,7 +49,7 @@ class Path:
     weight: FloatArray
 
     @classmethod
-    def at_rest(cls, time_s: float) -> Path:
+    def at_rest(cls, time_s: float) -> MotionPath:
         """Something that does not move."""
         return cls(np.array([time_s]), np.zeros((1, 3)), np.ones(1))
 
@@ -60,12 +60,12 @@ def moments(opened_s: float, exposure_s: float, count: int) -> FloatArray:
 
 
 def follow(
-    view: View,
+    view: CameraView,
     rest_mm: FloatArray,
     motion: Callable[[FloatArray], FloatArray],
     window_s: tuple[float, float],
     brightness: Callable[[FloatArray], FloatArray] | None = None,
-) -> Path:
+) -> MotionPath:
     """Sample a motion so finely that its image moves less than `STEP_PX` from one moment to the next.
 
     Parameters
@@ -85,7 +85,7 @@ def follow(
         displacement = np.asarray(motion(times), float)
     weight = np.ones(times.size) if brightness is None else _mean_brightness(brightness, times, window_s[1] / count)
     lit = weight > 0
-    return Path(times[lit], displacement[lit], weight[lit] / weight.sum())
+    return MotionPath(times[lit], displacement[lit], weight[lit] / weight.sum())
 
 
 def _mean_brightness(

@@ -32,11 +32,11 @@ class CardObject:
     """`time.monotonic` when it was announced."""
 
 
-class CardFull(Exception):
+class MemoryCardFull(Exception):
     """No room for another file."""
 
 
-class Card:
+class MemoryCard:
     """A card.
 
     Parameters
@@ -89,7 +89,7 @@ class Card:
         stamp = time.strftime("%Y%m%dT%H%M%S") if captured_at is None else captured_at
         with self._lock:
             if len(content) > self._free():
-                raise CardFull
+                raise MemoryCardFull
             new = []
             folder = FIRST_FOLDER + self._next // FILES_A_FOLDER
             folder_name = f"{100 + self._next // FILES_A_FOLDER}NCD80"

@@ -17,7 +17,7 @@ from typing import Protocol
 from labdrivers.ptp.codes import EventCode, Op, Prop, Response
 from labdrivers.ptp.container import pack_string
 from labdrivers.sim.faults import Faults
-from labdrivers.sim.ptp_card import STORAGE_ID, Card, CardFull, CardObject
+from labdrivers.sim.ptp_card import STORAGE_ID, CardObject, MemoryCard, MemoryCardFull
 from labdrivers.sim.ptp_settings import BodySettings
 
 FAULTS = {
@@ -111,14 +111,14 @@ class PtpBody:
         serial: str,
         exposer: Exposer,
         *,
-        card: Card | None = None,
+        card: MemoryCard | None = None,
         settings: BodySettings | None = None,
         clock: Callable[[], float] = time.monotonic,
         lag_jitter_s: float = 2e-4,
     ) -> None:
         self.faults = Faults(FAULTS)
         self._serial, self._exposer, self._clock = serial, exposer, clock
-        self.card = card or Card()
+        self.card = card or MemoryCard()
         self.settings = settings or BodySettings()
         self._random = random.Random(serial)
         self._jitter_s = lag_jitter_s
@@ -169,9 +169,9 @@ class PtpBody:
             return
         try:
             if self.faults.strike("card_full"):
-                raise CardFull
+                raise MemoryCardFull
             new = self._write(content, stamp)
-        except CardFull:
+        except MemoryCardFull:
             self._tell(EventCode.STORE_FULL, STORAGE_ID)
             return
         if self.faults.strike("lost_event"):

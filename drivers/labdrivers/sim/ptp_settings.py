@@ -46,7 +46,7 @@ SHUTTERS = tuple(nikon_raw(name) for name in (*reversed(FAST), *reversed(SLOW)))
 
 
 @dataclass(slots=True)
-class Property:
+class PtpProperty:
     """One setting."""
 
     type_code: int
@@ -71,21 +71,21 @@ class BodySettings:
         shutter_free = lambda: self.dial in "MS"  # noqa: E731
         always, never = (lambda: True), (lambda: False)
         raw = nikon_raw(exposure)
-        self._table: dict[int, Property] = {
-            Prop.BATTERY: Property(U8, 90, (0, 100, 1), never, range_form=True),
-            Prop.COMPRESSION: Property(U8, 3, (0, 1, 2, 3, 4), always),
-            Prop.F_NUMBER: Property(U16, f_number, (*F_NUMBERS, *SMALL_F_NUMBERS), lambda: self.dial in "MA"),
-            Prop.EXPOSURE_TIME: Property(U32, _tenth_ms(raw), tuple(map(_tenth_ms, SHUTTERS)), shutter_free),
-            Prop.EXPOSURE_MODE: Property(U16, PROGRAMS[dial], tuple(PROGRAMS.values()), never),
-            Prop.ISO: Property(U16, iso, ISOS, always),
-            Prop.NIKON_SHUTTER: Property(U32, raw, (*SHUTTERS, BULB), shutter_free),
+        self._table: dict[int, PtpProperty] = {
+            Prop.BATTERY: PtpProperty(U8, 90, (0, 100, 1), never, range_form=True),
+            Prop.COMPRESSION: PtpProperty(U8, 3, (0, 1, 2, 3, 4), always),
+            Prop.F_NUMBER: PtpProperty(U16, f_number, (*F_NUMBERS, *SMALL_F_NUMBERS), lambda: self.dial in "MA"),
+            Prop.EXPOSURE_TIME: PtpProperty(U32, _tenth_ms(raw), tuple(map(_tenth_ms, SHUTTERS)), shutter_free),
+            Prop.EXPOSURE_MODE: PtpProperty(U16, PROGRAMS[dial], tuple(PROGRAMS.values()), never),
+            Prop.ISO: PtpProperty(U16, iso, ISOS, always),
+            Prop.NIKON_SHUTTER: PtpProperty(U32, raw, (*SHUTTERS, BULB), shutter_free),
         }
 
     def codes(self) -> list[int]:
         """Codes of all properties."""
         return list(self._table)
 
-    def get(self, code: int) -> Property | None:
+    def get(self, code: int) -> PtpProperty | None:
         """A property, None if the body does not have it."""
         return self._table.get(code)
 

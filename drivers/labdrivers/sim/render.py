@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 
 from labdrivers.sim.background import HALF, backdrop
-from labdrivers.sim.lens import CameraModel, FloatArray, Shift
+from labdrivers.sim.lens import CameraModel, FloatArray, SensorShift
 from labdrivers.sim.optics import Optics
-from labdrivers.sim.path import MAX_MOMENTS, Path, View, follow, moments
+from labdrivers.sim.path import MAX_MOMENTS, CameraView, MotionPath, follow, moments
 from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
 from labdrivers.sim.sensor import FloatImage, Sensor
 from labdrivers.sim.smear import CardSpectra, blur_tag, blur_target
-from labdrivers.sim.window import FINE, Window, develop
+from labdrivers.sim.window import FINE, PixelWindow, develop
 
 Motion = Callable[[FloatArray], FloatArray]
 """Ascending times (n,) s -> displacement (n, 3) mm from rest."""
@@ -59,7 +59,7 @@ def render_frame(
     frequency_hz: float | None = None,
     phase_rad: float = 0.0,
     white_dn: float = 2900.0,
-    shift: Shift | tuple[float, float, float] | None = None,
+    shift: SensorShift | tuple[float, float, float] | None = None,
     optics: Optics | dict[str, Any] | None = None,
     sensor: Sensor | dict[str, Any] | None = None,
     occluders: tuple[Occluder, ...] = (),
@@ -106,10 +106,10 @@ def render_frame(
     """
     scene = Scene.of(scene)
     camera = camera if isinstance(camera, CameraModel) else CameraModel(**camera)
-    shift = shift if isinstance(shift, Shift) else Shift(*(shift or ()))
+    shift = shift if isinstance(shift, SensorShift) else SensorShift(*(shift or ()))
     optics = optics if isinstance(optics, Optics) else Optics(**(optics or {}))
     sensor = sensor if isinstance(sensor, Sensor) else Sensor(**(sensor or {}))
-    view = View(camera, shift)
+    view = CameraView(camera, shift)
     window_s = (opened_s, exposure_s)
     planes = _planes(backdrop(scene, view, panel_motion, window_s, 1.2), sensor, camera.image_size)
     for index in range(len(scene.tags)):
@@ -121,7 +121,7 @@ def render_frame(
         path = (
             follow(view, rest, motion, window_s, brightness)
             if motion is not None
-            else Path.at_rest(opened_s + 0.5 * exposure_s)
+            else MotionPath.at_rest(opened_s + 0.5 * exposure_s)
         )
         truth[target.name] = _truth(target.name, rest, view, path, opened_s, frequency_hz, phase_rad)
         smear = blur_target(scene, index, view, path, fine)
@@ -157,7 +157,7 @@ def _planes(reflectance: FloatImage, sensor: Sensor, image_size: tuple[int, int]
 
 
 @lru_cache(maxsize=512)
-def _still_tag(scene: Scene, index: int, view: View, fine: int, optics: Optics) -> CardImages | None:
+def _still_tag(scene: Scene, index: int, view: CameraView, fine: int, optics: Optics) -> CardImages | None:
     """Control targets do not move: they look the same in every frame of a camera that stands still."""
     smear = blur_tag(scene, index, view, fine)
     return None if smear is None else _image_card(smear, optics)
@@ -167,10 +167,10 @@ def _still_tag(scene: Scene, index: int, view: View, fine: int, optics: Optics) 
 class CardImages:
     """A card seen through the lens: images of each colour in their windows."""
 
-    paper_window: Window
+    paper_window: PixelWindow
     white: list[FloatImage]
     cover: list[FloatImage]
-    ink_window: Window
+    ink_window: PixelWindow
     taken: list[FloatImage]
 
 
@@ -204,7 +204,7 @@ def _composite(planes: Planes, card: CardImages | None, sensor: Sensor) -> None:
 Part = tuple[slice, slice]
 
 
-def _overlap(plane: FloatImage, site: tuple[int, int], window: Window) -> tuple[Part | None, Part]:
+def _overlap(plane: FloatImage, site: tuple[int, int], window: PixelWindow) -> tuple[Part | None, Part]:
     """Which part of a site's plane a window covers, and which of the window's pixels lie there."""
     whole: list[slice] = []
     mine: list[slice] = []
@@ -258,8 +258,8 @@ def _occlude(image: FloatImage, occluder: Occluder) -> None:
 def _truth(
     name: str,
     rest_mm: FloatArray,
-    view: View,
-    path: Path,
+    view: CameraView,
+    path: MotionPath,
     opened_s: float,
     frequency_hz: float | None,
     phase_rad: float,

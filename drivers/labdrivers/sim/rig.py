@@ -31,7 +31,7 @@ from labdrivers.sim.optics import Optics
 from labdrivers.sim.render import RenderedFrame, render_frame
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.structure import HEIGHT_MM
-from labdrivers.sim.table import History, rest_before
+from labdrivers.sim.table import ExcitationHistory, rest_before
 
 TOP_MM = (150.0, -100.0, HEIGHT_MM)
 """Where the response gauge looks: the top of the right front column."""
@@ -58,7 +58,7 @@ class ExposureJob:
 
     spec: RigSpec
     camera: str
-    history: History
+    history: ExcitationHistory
     opened_s: float
     exposure_s: float
     iso: int
@@ -119,7 +119,7 @@ class RigModel:
         history = self._history.then(
             t, self.spec.table, frequency_hz=frequency_hz, level_v=level_v if live else 0.0, phase_rad=phase
         )
-        self._history = History(history.modes, history.intervals[-KEEP_INTERVALS:])
+        self._history = ExcitationHistory(history.modes, history.intervals[-KEEP_INTERVALS:])
 
     # -- what instruments see ------------------------------------------------------------------------------------
 
@@ -258,7 +258,7 @@ class RigModel:
             return list(self._records)
 
 
-def displacements(history: History, points_mm: FloatArray, t: FloatArray) -> FloatArray:
+def displacements(history: ExcitationHistory, points_mm: FloatArray, t: FloatArray) -> FloatArray:
     """Displacement (points, n, 3) of points (points, 3) that ride on the table, at ascending times, mm."""
     table, q = history.evaluate(t)
     points = np.atleast_2d(points_mm)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labdrivers.sim.card import (
+from labdrivers.sim.label_card import (
     Plane,
     card_part,
     cell_size,
@@ -20,10 +20,10 @@ from labdrivers.sim.card import (
     tag_coverage,
 )
 from labdrivers.sim.lens import FloatArray
-from labdrivers.sim.path import Path, View
+from labdrivers.sim.path import CameraView, MotionPath
 from labdrivers.sim.scene import Scene, SceneTag, SceneTarget
 from labdrivers.sim.sensor import FloatImage
-from labdrivers.sim.window import Window, dwell_map, transform
+from labdrivers.sim.window import PixelWindow, dwell_map, transform
 
 SHAPE_STEP_PX = 0.04
 """A shape is drawn anew when its outline has changed by this much on the way (depth, perspective, distortion)."""
@@ -35,7 +35,7 @@ MAX_SHAPES = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layer:
+class CardLayer:
     """Part of a card in a window of its own.
 
     Attributes
@@ -46,7 +46,7 @@ class Layer:
         Of its fine images: for paper the light it sends and the time it hid what is behind; for ink the light it takes.
     """
 
-    window: Window
+    window: PixelWindow
     spectra: tuple[NDArray[np.complex64], ...]
 
 
@@ -57,11 +57,11 @@ class CardSpectra:
     The paper is drawn less finely than the ink: only the ink's edges are measured.
     """
 
-    paper: Layer
-    ink: Layer
+    paper: CardLayer
+    ink: CardLayer
 
 
-def blur_target(scene: Scene, index: int, view: View, path: Path, fine: int) -> CardSpectra | None:
+def blur_target(scene: Scene, index: int, view: CameraView, path: MotionPath, fine: int) -> CardSpectra | None:
     """A dot with its label, added up over the exposure; None if it stays outside the frame."""
     target = scene.targets[index]
     image = view.project(np.asarray(target.centre_mm) + path.displacement_mm)
@@ -72,25 +72,29 @@ def blur_target(scene: Scene, index: int, view: View, path: Path, fine: int) -> 
     if not paper_window.meets(view.camera.image_size):
         return None
     if scene.still_paper:
-        still = Path.at_rest(float(path.times_s[0]))
+        still = MotionPath.at_rest(float(path.times_s[0]))
         paper = _accumulate(draw_paper, scene, index, view, still, paper_window, PAPER_STEP_PX)
     else:
         paper = _accumulate(draw_paper, scene, index, view, path, paper_window, PAPER_STEP_PX)
     return CardSpectra(paper, _accumulate(draw_ink, scene, index, view, path, ink_window, SHAPE_STEP_PX))
 
 
-def _window(view: View, plane: Plane, half_mm: tuple[float, float], path: Path, image: FloatArray, fine: int) -> Window:
+def _window(
+    view: CameraView, plane: Plane, half_mm: tuple[float, float], path: MotionPath, image: FloatArray, fine: int
+) -> PixelWindow:
     """A window that a rectangle of the card never leaves."""
     corners = plane(np.array([(sx * half_mm[0], sy * half_mm[1]) for sx in (-1, 1) for sy in (-1, 1)]))
     turning = np.unique(np.concatenate([image.argmin(axis=0), image.argmax(axis=0), [0]]))
     outline = np.concatenate([view.project(corners + d) for d in path.displacement_mm[turning]])
-    return Window.around(outline.min(axis=0) - 1.0, outline.max(axis=0) + 1.0, fine)
+    return PixelWindow.around(outline.min(axis=0) - 1.0, outline.max(axis=0) + 1.0, fine)
 
 
-Draw = Callable[[Scene, int, View, FloatArray, Window], tuple[FloatImage, ...]]
+Draw = Callable[[Scene, int, CameraView, FloatArray, PixelWindow], tuple[FloatImage, ...]]
 
 
-def _accumulate(draw: Draw, scene: Scene, index: int, view: View, path: Path, window: Window, step_px: float) -> Layer:
+def _accumulate(
+    draw: Draw, scene: Scene, index: int, view: CameraView, path: MotionPath, window: PixelWindow, step_px: float
+) -> CardLayer:
     """Draw a shape once for every group of moments in which it looks the same, and spread it over their dwell times."""
     target = scene.targets[index]
     centre = np.asarray(target.centre_mm)
@@ -103,10 +107,10 @@ def _accumulate(draw: Draw, scene: Scene, index: int, view: View, path: Path, wi
         dwell = transform(dwell_map(image[members] - place, weight, window))
         spectra = [transform(part) * dwell for part in draw(scene, index, view, displacement, window)]
         total = [one + other for one, other in zip(total, spectra, strict=True)] if total else spectra
-    return Layer(window, tuple(total))
+    return CardLayer(window, tuple(total))
 
 
-def shape_groups(target: SceneTarget, view: View, path: Path, step_px: float) -> list[NDArray[np.intp]]:
+def shape_groups(target: SceneTarget, view: CameraView, path: MotionPath, step_px: float) -> list[NDArray[np.intp]]:
     """Moments sorted into groups in which the dot's outline looks the same to within `step_px`."""
     radius = 0.5 * target.diameter_mm
     rim = target.points(radius * np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]))
@@ -128,11 +132,11 @@ def shape_groups(target: SceneTarget, view: View, path: Path, step_px: float) ->
     return [members for k in range(count) if (members := np.flatnonzero(group == k)).size]
 
 
-def blur_tag(scene: Scene, index: int, view: View, fine: int) -> CardSpectra | None:
+def blur_tag(scene: Scene, index: int, view: CameraView, fine: int) -> CardSpectra | None:
     """A control target, which does not move; None if it lies outside the frame."""
     tag: SceneTag = scene.tags[index]
     half = 0.5 * tag.card_mm
-    still = Path.at_rest(0.0)
+    still = MotionPath.at_rest(0.0)
     image = view.project(np.asarray(tag.centre_mm)[None, :])
     paper_window = _window(view, tag.points, (half, half), still, image, max(fine // 2, 1))
     if not paper_window.meets(view.camera.image_size):
@@ -148,4 +152,4 @@ def blur_tag(scene: Scene, index: int, view: View, fine: int) -> CardSpectra | N
     taken = tag_coverage(tag, u, v) * (scene.paper - scene.ink)
     taken *= 1.0 + grain_at(scene, 5000 + index, (tag.card_mm, tag.card_mm), u, v)
     ink = transform(placed(taken, part, ink_window))
-    return CardSpectra(Layer(paper_window, tuple(spectra)), Layer(ink_window, (ink,)))
+    return CardSpectra(CardLayer(paper_window, tuple(spectra)), CardLayer(ink_window, (ink,)))

@@ -10,7 +10,7 @@ import numpy as np
 from labdrivers.sim.lens import CameraModel
 from labdrivers.sim.scene import Panel, Scene, SceneTag, SceneTarget
 from labdrivers.sim.sensor import Sensor
-from labdrivers.sim.structure import DEFAULT_MODES, HEIGHT_MM, Mode
+from labdrivers.sim.structure import DEFAULT_MODES, HEIGHT_MM, VibrationMode
 from labdrivers.sim.table import TableSpec
 
 COLUMN_X_MM = 150.0
@@ -125,7 +125,7 @@ class RigSpec:
             "right": CameraSpec("6000002", (520.0, -1330.0, 430.0), opening_lag_s=0.0634),
         }
     )
-    modes: tuple[Mode, ...] = DEFAULT_MODES
+    modes: tuple[VibrationMode, ...] = DEFAULT_MODES
     table: TableSpec = field(default_factory=TableSpec)
     sensor: Sensor = field(default_factory=lambda: Sensor(nef=True))
     targets: tuple[SceneTarget, ...] = field(default_factory=frame_targets)

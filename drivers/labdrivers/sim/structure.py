@@ -25,7 +25,7 @@ HEIGHT_MM = 760.0
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class VibrationMode:
     """A mode of a frame that stands on z = 0, vibrating like a bent and twisted cantilever.
 
     Attributes
@@ -63,9 +63,9 @@ class Mode:
 
 
 DEFAULT_MODES = (
-    Mode(5.4, 0.020, 1, (0.26, 0.05), 1.5e-4),
-    Mode(8.5, 0.018, 1, (0.12, 0.20), 9.0e-4),
-    Mode(12.7, 0.015, 3, (0.34, 0.08), -3.0e-4),
+    VibrationMode(5.4, 0.020, 1, (0.26, 0.05), 1.5e-4),
+    VibrationMode(8.5, 0.018, 1, (0.12, 0.20), 9.0e-4),
+    VibrationMode(12.7, 0.015, 3, (0.34, 0.08), -3.0e-4),
 )
 """Sway along the table; sway across it with torsion; second bending. Just above the paper's 5, 8 and 12 Hz."""
 
@@ -88,13 +88,15 @@ class FreeVibration:
     velocity: tuple[float, ...]
 
 
-def particular(mode: Mode, pole: complex, amplitude: complex) -> complex:
+def particular(mode: VibrationMode, pole: complex, amplitude: complex) -> complex:
     """Amplitude of q under a table displacement ``amplitude·exp(pole·t)``."""
     omega = 2.0 * np.pi * mode.frequency_hz
     return -amplitude * pole**2 / (pole**2 + 2.0 * mode.damping_ratio * omega * pole + omega**2)
 
 
-def modal_response(modes: Sequence[Mode], state: FreeVibration, elapsed_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def modal_response(
+    modes: Sequence[VibrationMode], state: FreeVibration, elapsed_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Modal coordinates and velocities after `elapsed_s` (n,) of an interval.
 
     Returns

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labdrivers.sim.structure import FloatArray, FreeVibration, Mode, modal_response
+from labdrivers.sim.structure import FloatArray, FreeVibration, VibrationMode, modal_response
 
 NEGLIGIBLE_MM = 1e-9
 
@@ -66,7 +66,7 @@ class TableSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class Interval:
+class ExcitationInterval:
     """From one command to the next.
 
     Attributes
@@ -93,13 +93,13 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class ExcitationHistory:
     """All commands so far; immutable, so a snapshot is a reference and a renderer's process can have it."""
 
-    modes: tuple[Mode, ...]
-    intervals: tuple[Interval, ...] = field(default=())
+    modes: tuple[VibrationMode, ...]
+    intervals: tuple[ExcitationInterval, ...] = field(default=())
 
-    def _split(self, t: FloatArray) -> list[tuple[Interval, slice]]:
+    def _split(self, t: FloatArray) -> list[tuple[ExcitationInterval, slice]]:
         """Cut ascending times at the commands. Times before the first belong to it, with nothing moving yet."""
         during = self.window(float(t[0]), float(t[-1])).intervals
         cuts = np.searchsorted(t, [interval.start_s for interval in during[1:]], side="left")
@@ -120,20 +120,24 @@ class History:
                 q[:, part] = modal_response(self.modes, state, elapsed)[0]
         return table, q
 
-    def at(self, t: float) -> Interval | None:
+    def at(self, t: float) -> ExcitationInterval | None:
         """The command in force at `t`."""
         index = self._last(t)
         return self.intervals[index] if index >= 0 else None
 
-    def window(self, start_s: float, end_s: float) -> History:
+    def window(self, start_s: float, end_s: float) -> ExcitationHistory:
         """Only what matters between two times (small enough to send to another process)."""
-        return History(self.modes, self.intervals[max(self._last(start_s), 0) : max(self._last(end_s), 0) + 1])
+        return ExcitationHistory(
+            self.modes, self.intervals[max(self._last(start_s), 0) : max(self._last(end_s), 0) + 1]
+        )
 
     def _last(self, t: float) -> int:
         """Index of the last command not after `t`, -1 before the first."""
         return bisect_right(self.intervals, t, key=lambda interval: interval.start_s) - 1
 
-    def then(self, t: float, spec: TableSpec, *, frequency_hz: float, level_v: float, phase_rad: float) -> History:
+    def then(
+        self, t: float, spec: TableSpec, *, frequency_hz: float, level_v: float, phase_rad: float
+    ) -> ExcitationHistory:
         """History with one more command: a sine of `level_v` volts (zero to peak) whose phase at `t` is `phase_rad`."""
         last = self.intervals[-1] if self.intervals else None
         if last is not None and t < last.start_s:
@@ -166,10 +170,10 @@ class History:
             tuple(displacement),
             tuple(value - step for value in velocity),
         )
-        interval = Interval(t, frequency_hz, float(phase_rad), float(abs(response)), state)
-        return History(self.modes, (*self.intervals, interval))
+        interval = ExcitationInterval(t, frequency_hz, float(phase_rad), float(abs(response)), state)
+        return ExcitationHistory(self.modes, (*self.intervals, interval))
 
 
-def rest_before(modes: Sequence[Mode]) -> History:
+def rest_before(modes: Sequence[VibrationMode]) -> ExcitationHistory:
     """A rig that has never received a command."""
-    return History(tuple(modes))
+    return ExcitationHistory(tuple(modes))

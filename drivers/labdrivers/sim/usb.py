@@ -15,14 +15,14 @@ from typing import Any, TypeVar
 import usb.backend
 from usb.core import USBError, USBTimeoutError
 
-from labdrivers.sim.usb_bus import ENDPOINTS, Bus, PluggedIn
+from labdrivers.sim.usb_bus import ENDPOINTS, UsbBus, UsbDeviceInfo
 from labdrivers.sim.usb_device import UsbFault
 
 T = TypeVar("T")
 
 
 class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]
-    """What pyusb needs, over a `Bus`.
+    """What pyusb needs, over a `UsbBus`.
 
     Parameters
     ----------
@@ -30,17 +30,17 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]
         The cameras.
     """
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: UsbBus) -> None:
         self._bus = bus
 
-    def enumerate_devices(self) -> Iterator[PluggedIn]:
+    def enumerate_devices(self) -> Iterator[UsbDeviceInfo]:
         """Everything on the bus."""
         return iter(_translate(self._bus.devices))
 
-    def get_parent(self, dev: PluggedIn) -> None:
+    def get_parent(self, dev: UsbDeviceInfo) -> None:
         """No hubs."""
 
-    def get_device_descriptor(self, dev: PluggedIn) -> SimpleNamespace:
+    def get_device_descriptor(self, dev: UsbDeviceInfo) -> SimpleNamespace:
         """As a high-speed device."""
         return SimpleNamespace(
             bLength=18, bDescriptorType=1, bcdUSB=0x0200, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
@@ -49,7 +49,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]
             port_numbers=(dev.address,), speed=3,
         )  # fmt: skip
 
-    def get_configuration_descriptor(self, dev: PluggedIn, config: int) -> SimpleNamespace:
+    def get_configuration_descriptor(self, dev: UsbDeviceInfo, config: int) -> SimpleNamespace:
         """The only one."""
         if config != 0:
             raise IndexError(config)
@@ -58,7 +58,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]
             bmAttributes=0xC0, bMaxPower=1, extra_descriptors=[],
         )  # fmt: skip
 
-    def get_interface_descriptor(self, dev: PluggedIn, intf: int, alt: int, config: int) -> SimpleNamespace:
+    def get_interface_descriptor(self, dev: UsbDeviceInfo, intf: int, alt: int, config: int) -> SimpleNamespace:
         """Still image, PIMA 15740."""
         if intf != 0 or alt != 0:
             raise IndexError(intf)
@@ -67,7 +67,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]
             bInterfaceClass=6, bInterfaceSubClass=1, bInterfaceProtocol=1, iInterface=0, extra_descriptors=[],
         )  # fmt: skip
 
-    def get_endpoint_descriptor(self, dev: PluggedIn, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
+    def get_endpoint_descriptor(self, dev: UsbDeviceInfo, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
         """Bulk in, bulk out, interrupt."""
         address, attributes, packet = ENDPOINTS[ep]
         return SimpleNamespace(
@@ -75,7 +75,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]
             bInterval=4, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
-    def open_device(self, dev: PluggedIn) -> int:
+    def open_device(self, dev: UsbDeviceInfo) -> int:
         """A handle."""
         return _translate(lambda: self._bus.open(dev.address))
 

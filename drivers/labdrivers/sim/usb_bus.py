@@ -1,6 +1,6 @@
 """A simulated USB bus: cameras are plugged in and out, get a new address each time, and are claimed by one host.
 
-`Bus` is what a pyusb backend needs of it, here directly, elsewhere through a connection (`usb_remote`).
+`UsbBus` is what a pyusb backend needs of it, here directly, elsewhere through a connection (`usb_remote`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LANGUAGE = 0x0409
 
 
 @dataclass(frozen=True, slots=True)
-class PluggedIn:
+class UsbDeviceInfo:
     """What enumeration reports of a device."""
 
     address: int
@@ -30,10 +30,10 @@ class PluggedIn:
         return asdict(self)
 
 
-class Bus(Protocol):
+class UsbBus(Protocol):
     """What a backend may ask; every method may raise `UsbFault`."""
 
-    def devices(self) -> list[PluggedIn]:
+    def devices(self) -> list[UsbDeviceInfo]:
         """Everything plugged in."""
         ...
 
@@ -109,10 +109,10 @@ class SimulatedBus:
         with self._lock:
             return self.cameras[name] in self._plugged.values()
 
-    def devices(self) -> list[PluggedIn]:
+    def devices(self) -> list[UsbDeviceInfo]:
         """Everything plugged in."""
         with self._lock:
-            return [PluggedIn(address, VENDOR, PRODUCT) for address in self._plugged]
+            return [UsbDeviceInfo(address, VENDOR, PRODUCT) for address in self._plugged]
 
     def open(self, address: int) -> int:
         """A handle for a device."""

@@ -13,14 +13,14 @@ from contextlib import suppress
 from typing import Any
 
 from labdrivers.sim import messages
-from labdrivers.sim.usb_bus import Bus, PluggedIn
+from labdrivers.sim.usb_bus import UsbBus, UsbDeviceInfo
 from labdrivers.sim.usb_device import UsbFault
 
 SLACK_S = 5.0
 
 
 class RemoteBus:
-    """A `Bus` at ``tcp://host:port``.
+    """A `UsbBus` at ``tcp://host:port``.
 
     Parameters
     ----------
@@ -38,10 +38,10 @@ class RemoteBus:
         weakref.finalize(self, _close_all, self._free)
         weakref.finalize(self, _close_all, self._lifeline)
 
-    def devices(self) -> list[PluggedIn]:
+    def devices(self) -> list[UsbDeviceInfo]:
         """Everything plugged in; nothing, when the simulator is gone."""
         answer, _ = self._ask({"do": "devices"})
-        return [PluggedIn(**device) for device in answer["devices"]]
+        return [UsbDeviceInfo(**device) for device in answer["devices"]]
 
     def open(self, address: int) -> int:
         """A handle for a device."""
@@ -131,7 +131,7 @@ class BusServer:
         The one to offer.
     """
 
-    def __init__(self, bus: Bus, *, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, bus: UsbBus, *, host: str = "127.0.0.1", port: int = 0) -> None:
         self._bus = bus
         self._listener = socket.create_server((host, port))
         self.url = f"tcp://{host}:{self._listener.getsockname()[1]}"
@@ -175,9 +175,9 @@ class BusServer:
         finally:
             peer.close()
             if lifeline:
-                self._let_go(name)
+                self._close_handles(name)
 
-    def _let_go(self, host: str) -> None:
+    def _close_handles(self, host: str) -> None:
         with self._lock:
             handles = self._handles.pop(host, set())
         for handle in handles:

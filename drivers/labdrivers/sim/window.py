@@ -30,7 +30,7 @@ REACH = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class PixelWindow:
     """Where a window lies.
 
     Attributes
@@ -50,7 +50,7 @@ class Window:
     fine: int = FINE
 
     @classmethod
-    def around(cls, low_px: FloatArray, high_px: FloatArray, fine: int = FINE) -> Window:
+    def around(cls, low_px: FloatArray, high_px: FloatArray, fine: int = FINE) -> PixelWindow:
         """Smallest convenient window that holds the box from `low_px` to `high_px` (x, y) and its halo."""
         x0, y0 = (int(np.floor(v)) - HALO_PX for v in low_px)
         size = [int(np.ceil(high)) + HALO_PX - start + 1 for high, start in zip(high_px, (x0, y0), strict=True)]
@@ -70,7 +70,7 @@ class Window:
         return x, y
 
 
-def dwell_map(offsets_px: FloatArray, weights: FloatArray, window: Window) -> FloatImage:
+def dwell_map(offsets_px: FloatArray, weights: FloatArray, window: PixelWindow) -> FloatImage:
     """How long the shape stayed at each shift: a fine image whose origin is no shift, wrapping round.
 
     Parameters
@@ -111,7 +111,7 @@ def transform(fine_image: FloatImage) -> NDArray[np.complex64]:
     return spectrum
 
 
-def develop(spectra: Sequence[NDArray[np.complex64]], window: Window, optics: Optics) -> list[list[FloatImage]]:
+def develop(spectra: Sequence[NDArray[np.complex64]], window: PixelWindow, optics: Optics) -> list[list[FloatImage]]:
     """What the sensor's pixels see of fine images through the lens.
 
     Parameters

@@ -7,7 +7,7 @@ import logging
 
 import click
 
-from labdaemon.bench.world.row import Row, WorldOptions, table_of
+from labdaemon.bench.world.row import WorldOptions, WorldRow, table_of
 from labdaemon.bench.world.sections import SECTIONS, section
 
 
@@ -23,7 +23,7 @@ def command(names: tuple[str, ...], quick: bool, seed: int, soak_minutes: float 
     """Let the daemon meet what devices, disks, sockets and people do to it; one table."""
     logging.getLogger("labdaemon").addHandler(logging.NullHandler())  # faults are the subject; rows report them
     options = WorldOptions(quick, seed, soak_minutes or (1.0 if quick else 30.0))
-    rows: list[Row] = []
+    rows: list[WorldRow] = []
     for name in names or SECTIONS:
         for row in section(name)(options):
             rows.append(row)

@@ -22,7 +22,7 @@ from typing import Any
 
 from labdaemon.bench.kill import DaemonUnderTest, small_rig
 from labdaemon.bench.verdict import CampaignVerdict, judge
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 
 STEPS = 4
 REST_S = 15.0
@@ -45,7 +45,7 @@ class DiskOutcome:
 Trouble = Callable[[DaemonUnderTest], AbstractContextManager[None]]
 
 
-def rows(options: WorldOptions) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[WorldRow]:
     """A row for each kind of trouble."""
     tries, moments = 1 if options.quick else 5, random.Random(options.seed)
     for what, trouble, must_rest in (
@@ -66,7 +66,7 @@ def rows(options: WorldOptions) -> Iterator[Row]:
         else:
             result, goal = f"continued; {lost}", "continues; 0 lost"
         holds = verdict.is_well and (slowest_s <= REST_S or not must_rest)
-        yield Row("disk", what, tries, result, goal, holds)
+        yield WorldRow("disk", what, tries, result, goal, holds)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from functools import partial
 
 from labdaemon.bench.verdict import CampaignVerdict
 from labdaemon.bench.world.memory_limit import memory_limit
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 from labdaemon.bench.world.subject import Subject, subject
 
 DEATH_S = 2.0
@@ -35,12 +35,12 @@ def _run_out_of_memory(daemon: Subject) -> None:
         if not is_limited:
             daemon.process.kill()
             return
-        daemon.obey("memory")
+        daemon.send_order("memory")
         daemon.process.wait(PATIENCE_S)
 
 
 def _hang(daemon: Subject) -> None:
-    daemon.obey("hang")
+    daemon.send_order("hang")
 
 
 ENDINGS: dict[str, tuple[End, float]] = {
@@ -55,7 +55,7 @@ ENDINGS: dict[str, tuple[End, float]] = {
 """How the daemon ends, and how long the table may move then, seconds."""
 
 
-def rows(options: WorldOptions) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[WorldRow]:
     """A row for each kind of ending, and one for what was lost in all of them."""
     moments, verdict, tried = random.Random(options.seed), CampaignVerdict(), 0
     for place, (what, (end, limit_s)) in enumerate(ENDINGS.items()):
@@ -65,12 +65,12 @@ def rows(options: WorldOptions) -> Iterator[Row]:
             verdict += daemon.finish()
         tried += tries
         result = f"at rest after {took_s[len(took_s) // 2]:.2f} s, at most {took_s[-1]:.2f} s"
-        yield Row("endings", what, tries, result, f"<= {limit_s:g} s", took_s[-1] <= limit_s)
+        yield WorldRow("endings", what, tries, result, f"<= {limit_s:g} s", took_s[-1] <= limit_s)
     counts = (
         f"{verdict.frames_lost} frames lost, {verdict.results_repeated} results repeated, {verdict.results_missing} "
         f"missing, {verdict.seq_gaps} gaps in seq, {verdict.open_ends} left open"
     )
-    yield Row("endings", "after all of them", tried, counts, "0", verdict.is_well)
+    yield WorldRow("endings", "after all of them", tried, counts, "0", verdict.is_well)
 
 
 def _rest_after(daemon: Subject, end: End, moment_s: float) -> float:

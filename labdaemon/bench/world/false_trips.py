@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 from labdaemon.bench.world.subject import Subject, subject
 from labdaemon.errors import LabdaemonError
 
@@ -20,7 +20,7 @@ GAP_S = 0.7
 LOOK_S = 0.5
 
 
-def rows(options: WorldOptions) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[WorldRow]:
     """One row: how often the guardian or the daemon gave up, and the longest gap between two heartbeats."""
     with subject(options.seed) as daemon, busy_machine(daemon.folder):
         daemon.keep_moving()
@@ -39,7 +39,7 @@ def rows(options: WorldOptions) -> Iterator[Row]:
             trips += found["pid"] not in (None, first)
             first = found["pid"] or first
             time.sleep(LOOK_S)
-    yield Row(
+    yield WorldRow(
         "false trips",
         f"{options.soak_minutes:g} min under {BUSY} busy processes, table moving {100 * moved // max(looks, 1)} %",
         looks,

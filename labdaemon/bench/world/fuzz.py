@@ -18,7 +18,7 @@ from typing import Any
 from labdaemon.bench.kill import small_rig
 from labdaemon.bench.simulator import folder_maker
 from labdaemon.bench.world.mutations import mutated_bytes, mutated_text
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 
 MEMORY_MB = 500.0
 LONGEST_S = 10.0
@@ -66,7 +66,7 @@ duration_s = 5.0
 
 
 @dataclass(slots=True)
-class Findings:
+class FuzzFindings:
     """What a kind of input came to."""
 
     tries: int = 0
@@ -86,7 +86,7 @@ class Findings:
             last = lines[-1] if lines else ""
             self.bad.append(f"{what}: {status}, {len(lines)} lines, {last[:120]}")
 
-    def row(self, what: str) -> Row:
+    def row(self, what: str) -> WorldRow:
         """The row of the table."""
         result = (
             f"{self.refused} refused, {len(self.bad)} not as they must be, slowest {self.slowest_s:.1f} s of CPU, "
@@ -95,7 +95,7 @@ class Findings:
         if self.bad:
             result += f" ({self.bad[0]})"
         holds = not self.bad and self.slowest_s <= LONGEST_S and self.memory_mb <= MEMORY_MB
-        return Row("fuzz", what, self.tries, result, GOAL, holds)
+        return WorldRow("fuzz", what, self.tries, result, GOAL, holds)
 
 
 class FuzzCommands:
@@ -130,7 +130,7 @@ class FuzzCommands:
             self._process = None
 
 
-def rows(options: WorldOptions) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[WorldRow]:
     """A row for each kind of file."""
     root = Path(tempfile.mkdtemp(prefix="labdaemon-fuzz-"))
     commands = FuzzCommands()
@@ -145,9 +145,9 @@ def rows(options: WorldOptions) -> Iterator[Row]:
         shutil.rmtree(root, ignore_errors=True)
 
 
-def _files(options: WorldOptions, source: random.Random, root: Path, commands: FuzzCommands) -> Findings:
+def _files(options: WorldOptions, source: random.Random, root: Path, commands: FuzzCommands) -> FuzzFindings:
     """Mutated campaigns and rig files to `plan`."""
-    found = Findings()
+    found = FuzzFindings()
     where = root / "rig"
     where.mkdir()
     with small_rig(options.seed) as rig:
@@ -168,9 +168,9 @@ def _files(options: WorldOptions, source: random.Random, root: Path, commands: F
 
 def _folders(
     options: WorldOptions, source: random.Random, folder: Path, root: Path, commands: FuzzCommands
-) -> Findings:
+) -> FuzzFindings:
     """A data-set folder with one of its text files changed, or a file missing, renamed or replaced, to `process`."""
-    found = Findings()
+    found = FuzzFindings()
     changed = root / "changed"
     for _ in range(12 if options.quick else 1000):
         shutil.rmtree(changed, ignore_errors=True)
@@ -204,9 +204,11 @@ def _mutate_folder(source: random.Random, folder: Path) -> Path:
     return path
 
 
-def _frames(options: WorldOptions, source: random.Random, folder: Path, root: Path, commands: FuzzCommands) -> Findings:
+def _frames(
+    options: WorldOptions, source: random.Random, folder: Path, root: Path, commands: FuzzCommands
+) -> FuzzFindings:
     """A sharp frame, and a blurred one that is damaged, to `measure`."""
-    found = Findings()
+    found = FuzzFindings()
     [capture, *_] = sorted((folder / "captures").iterdir())
     blurred = min(path for path in capture.iterdir() if path.suffix == ".dng")
     sharp, data = folder / "sharp" / blurred.name, blurred.read_bytes()

@@ -17,7 +17,7 @@ import zmq
 
 from labdaemon.bench.kill import DaemonUnderTest, small_rig
 from labdaemon.bench.world.mutations import message
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
@@ -29,7 +29,7 @@ PROBE_EVERY = 500
 GOAL = f"alive, 0 tracebacks, no answer later than {SILENT_S:g} s, <= {MEMORY_MB:g} MB"
 
 
-def rows(options: WorldOptions) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[WorldRow]:
     """One row for both sockets."""
     tries = 2000 if options.quick else 50_000
     source = random.Random(options.seed)
@@ -52,7 +52,7 @@ def rows(options: WorldOptions) -> Iterator[Row]:
         f"{'alive' if is_alive else 'dead'}, {tracebacks} tracebacks, slowest status {slowest_s:.2f} s, "
         f"at most {memory_mb:.0f} MB"
     )
-    yield Row("messages", "surrogates, bombs, rubbish, raw TCP to both sockets", tries, result, GOAL, holds)
+    yield WorldRow("messages", "surrogates, bombs, rubbish, raw TCP to both sockets", tries, result, GOAL, holds)
 
 
 def _attack(daemon: DaemonUnderTest, source: random.Random, tries: int) -> float:

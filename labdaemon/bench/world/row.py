@@ -29,7 +29,7 @@ class WorldOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class WorldRow:
     """What one kind of trouble came to.
 
     Attributes
@@ -58,7 +58,7 @@ class Row:
         return asdict(self)
 
 
-def table_of(rows: Iterable[Row]) -> str:
+def table_of(rows: Iterable[WorldRow]) -> str:
     """The table in Markdown, as the README quotes it."""
     lines = [f"| {' | '.join(HEADS)} |", "|---" * len(HEADS) + "|"]
     for row in rows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from importlib import import_module
 
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 
 SECTIONS = {
     "endings": "labdaemon.bench.world.endings",
@@ -18,7 +18,7 @@ SECTIONS = {
 """In the order of the table. Modules are imported when their section runs."""
 
 
-def section(name: str) -> Callable[[WorldOptions], Iterator[Row]]:
+def section(name: str) -> Callable[[WorldOptions], Iterator[WorldRow]]:
     """The function that runs a section."""
-    found: Callable[[WorldOptions], Iterator[Row]] = import_module(SECTIONS[name]).rows
+    found: Callable[[WorldOptions], Iterator[WorldRow]] = import_module(SECTIONS[name]).rows
     return found

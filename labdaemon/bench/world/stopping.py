@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from labdaemon.bench.kill import DaemonUnderTest, small_rig
-from labdaemon.bench.world.row import Row, WorldOptions
+from labdaemon.bench.world.row import WorldOptions, WorldRow
 from labdaemon.stream.client import Client
 
 CAMPAIGN = """
@@ -41,7 +41,7 @@ NUMBERS = [f"{sd}{motion}{axis}_mm" for sd in ("", "sd_") for motion in ("", "a"
 LEVEL = re.compile(r"VOLT ([0-9.eE+-]+)$")
 
 
-def rows(options: WorldOptions) -> Iterator[Row]:
+def rows(options: WorldOptions) -> Iterator[WorldRow]:
     """One row: the slowest of nearly all stops."""
     tries = 10 if options.quick else 120
     folder = Path(tempfile.mkdtemp(prefix="labdaemon-stopping-"))
@@ -53,7 +53,7 @@ def rows(options: WorldOptions) -> Iterator[Row]:
     p99_s = took[min(int(0.99 * len(took)), len(took) - 1)]
     what = f"stop to the first lower level on a wire of 9600 baud, {CLIENTS} × {REPLAYS} replays"
     result = f"p99 {1000 * p99_s:.0f} ms, median {1000 * took[len(took) // 2]:.0f} ms"
-    yield Row("stopping", what, tries, result, "p99 <= 100 ms", p99_s <= GOAL_S)
+    yield WorldRow("stopping", what, tries, result, "p99 <= 100 ms", p99_s <= GOAL_S)
 
 
 class Wire:

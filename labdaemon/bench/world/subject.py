@@ -59,10 +59,10 @@ class Subject(DaemonUnderTest):
             )
         assert self.process.stdout is not None
         if not self.process.stdout.readline():
-            raise LabdaemonError(f"the daemon did not serve; its log ends: {self.last_words()}")
+            raise LabdaemonError(f"the daemon did not serve; its log ends: {self.log_tail()}")
         return None
 
-    def last_words(self) -> str:
+    def log_tail(self) -> str:
         """The last lines of its log."""
         return (self.folder / "daemon.log").read_text(errors="replace")[-600:]
 
@@ -71,7 +71,7 @@ class Subject(DaemonUnderTest):
         with Client(self.commands, timeout_s=20.0) as client:
             return client.call(method, **params)
 
-    def obey(self, word: str) -> None:
+    def send_order(self, word: str) -> None:
         """Say what it is to do to itself, see `labdaemon.bench.world.ending_child`."""
         assert self.process.stdin is not None
         self.process.stdin.write(word + "\n")

@@ -10,17 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdrivers.sim.lens import FloatArray
-from labdrivers.sim.path import View
+from labdrivers.sim.path import CameraView
 from labdrivers.sim.scene import Scene, SceneTag
 from labdrivers.sim.sensor import FloatImage
-from labdrivers.sim.window import Window
+from labdrivers.sim.window import PixelWindow
 
 Plane = Callable[[FloatArray], FloatArray]
 """Points (n, 2) of a card's own plane, mm -> object points (n, 3)."""
 
 
 def plane_coordinates(
-    view: View, plane: Plane, half_mm: tuple[float, float], displacement_mm: FloatArray, x: FloatArray, y: FloatArray
+    view: CameraView,
+    plane: Plane,
+    half_mm: tuple[float, float],
+    displacement_mm: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Where on a card each image point lies: (rows, columns) of u and of v, mm, for image coordinates `x` and `y`.
 
@@ -128,7 +133,7 @@ def grain_at(scene: Scene, card: int, extent_mm: tuple[float, float], u: FloatAr
 
 
 def draw_paper(
-    scene: Scene, index: int, view: View, displacement_mm: FloatArray, window: Window
+    scene: Scene, index: int, view: CameraView, displacement_mm: FloatArray, window: PixelWindow
 ) -> tuple[FloatImage, FloatImage]:
     """Fine images of a displaced label without its ink: the light it sends, and its coverage."""
     target = scene.targets[index]
@@ -140,7 +145,9 @@ def draw_paper(
     return placed(white, part, window), placed(cover, part, window)
 
 
-def draw_ink(scene: Scene, index: int, view: View, displacement_mm: FloatArray, window: Window) -> tuple[FloatImage]:
+def draw_ink(
+    scene: Scene, index: int, view: CameraView, displacement_mm: FloatArray, window: PixelWindow
+) -> tuple[FloatImage]:
     """Fine image of the light that a displaced dot takes away from its label."""
     target = scene.targets[index]
     half = (0.5 * target.paper_mm[0], 0.5 * target.paper_mm[1])
@@ -156,7 +163,7 @@ Part = tuple[slice, slice]
 
 
 def card_part(
-    view: View, plane: Plane, half_mm: tuple[float, float], displacement_mm: FloatArray, window: Window
+    view: CameraView, plane: Plane, half_mm: tuple[float, float], displacement_mm: FloatArray, window: PixelWindow
 ) -> tuple[Part, FloatArray, FloatArray]:
     """The rows and columns of a window that a rectangle of a card falls on, and the card's coordinates there."""
     x, y = window.centres()
@@ -168,7 +175,7 @@ def card_part(
     return (rows, columns), u, v
 
 
-def placed(image: FloatArray, part: Part, window: Window) -> FloatImage:
+def placed(image: FloatArray, part: Part, window: PixelWindow) -> FloatImage:
     whole = np.zeros((window.height * window.fine, window.width * window.fine), np.float32)
     whole[part] = image
     return whole
