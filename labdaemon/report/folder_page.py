@@ -62,7 +62,7 @@ def report_folder(
     -------
     page : Path
         ``index.html`` in the results.
-    accuracy : list of Accuracy
+    accuracy : list of CaptureAccuracy
         One for each capture whose truth is known.
 
     Raises

@@ -83,7 +83,7 @@ class MemoryCard:
 
         Raises
         ------
-        CardFull
+        MemoryCardFull
             It does not fit.
         """
         stamp = time.strftime("%Y%m%dT%H%M%S") if captured_at is None else captured_at
