@@ -35,7 +35,7 @@ from labdaemon.clock import SystemClock
 from labdaemon.errors import LabdaemonError
 from labdaemon.journal.journal import Journal
 from labdaemon.service.config import load_rig
-from labdaemon.service.devices import build_rig, connect_others, connect_stoppers
+from labdaemon.service.devices import build_rig, connect_others, connect_stop_actuators
 
 COMMAND = re.compile(rb"OUTP[A-Z]*\s+(?P<off>OFF|0)|VOLT[A-Z]*\s+(?P<level>[0-9.eE+-]+)", re.IGNORECASE)
 """What brings the table down: output off, or a smaller level than the one before."""
@@ -116,7 +116,7 @@ async def measure(rig_file: Path, proxy: RecordingProxy, data: Path, trips: int)
         How often, half of them in mid-ramp.
     """
     clock, rig = SystemClock(), build_rig(load_rig(rig_file))
-    await connect_stoppers(rig)
+    await connect_stop_actuators(rig)
     table = Table(rig, clock, None)
     await table.stop(at_once=True)
     await connect_others(rig)

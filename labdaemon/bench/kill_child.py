@@ -20,8 +20,8 @@ from labdaemon.campaign.measurement_queue import CaptureRows
 from labdaemon.journal.journal import Journal
 from labdaemon.processing import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, WorkerPool
 from labdaemon.service.config import load_rig
-from labdaemon.service.daemon import Options, run_daemon
-from labdaemon.service.measuring import PoolMeasurer
+from labdaemon.service.daemon import DaemonOptions, run_daemon
+from labdaemon.service.pool_measurer import PoolMeasurer
 
 
 class QuickMeasurer(PoolMeasurer):
@@ -96,7 +96,7 @@ def main(arguments: list[str]) -> int:
     def ready(commands: str, events: str) -> None:
         print(json.dumps({"commands": commands, "events": events}), flush=True)
 
-    return run_daemon(load_rig(Path(config)), Options(Path(data)), ready=ready, measurer=measurer)
+    return run_daemon(load_rig(Path(config)), DaemonOptions(Path(data)), ready=ready, measurer=measurer)
 
 
 if __name__ == "__main__":

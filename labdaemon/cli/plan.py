@@ -19,7 +19,7 @@ from labdaemon.cli.progress import duration
 from labdaemon.cli.remote import ask
 from labdaemon.errors import UsageError
 from labdaemon.service.config import load_rig, plan_rig
-from labdaemon.service.line_note import enable_line, sentence
+from labdaemon.service.enable_line_note import enable_line, sentence
 from labdaemon.stream.client import COMMANDS, NoDaemon
 
 WHOLE_WITHIN_CYCLES = 0.05

@@ -47,7 +47,7 @@ def _run(
     config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool, held: HeldTable
 ) -> int:
     from labdaemon.service.config import load_rig
-    from labdaemon.service.daemon import Options, run_daemon
+    from labdaemon.service.daemon import DaemonOptions, run_daemon
 
     def ready(commands: str, events: str) -> None:
         line = json.dumps({"commands": commands, "events": events})
@@ -55,7 +55,7 @@ def _run(
         sys.stdout.flush()
 
     rig = load_rig(config)
-    return run_daemon(rig, Options(data, new_journal, accept_changed_rig), ready=ready, lock=held.lock)
+    return run_daemon(rig, DaemonOptions(data, new_journal, accept_changed_rig), ready=ready, lock=held.lock)
 
 
 def _unrested(exc: LabdaemonError, held: HeldTable) -> LabdaemonError:

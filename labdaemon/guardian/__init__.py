@@ -2,5 +2,5 @@
 
 It imports the standard library and pyserial alone, so that it starts at once, needs little memory and has little that
 can fail. What it sends to the shaker comes from the driver as data (`labdaemon.guardian.recipe`). The daemon's side is
-`labdaemon.service.guarding`.
+`labdaemon.service.guardian_supervisor`.
 """

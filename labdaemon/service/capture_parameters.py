@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labdaemon.campaign.manual_request import ManualRequest, is_group_name
-from labdaemon.service.parameters import Parameters
+from labdaemon.service.command_parameters import CommandParameters
 from labdaemon.stream.messages import InvalidParams
 
 MAX_TEXT = 200
@@ -24,7 +24,7 @@ def capture_request(params: dict[str, Any]) -> ManualRequest:
     InvalidParams
         Names the one that is unknown, of the wrong type, out of range, or makes no sense with the others.
     """
-    given = Parameters(
+    given = CommandParameters(
         params,
         "label",
         "sharp",

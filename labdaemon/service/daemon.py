@@ -1,7 +1,7 @@
 """The daemon from its first moment to its last: it holds the table.
 
 First the shaker's lock, which keeps other daemons off this table, then the table to rest; then the data folder, the
-commands socket, the journal and everything that serves (`labdaemon.service.serving`, which takes a second to load). On
+commands socket, the journal and everything that serves (`labdaemon.service.serve`, which takes a second to load). On
 every way out, asked for or not, the table comes to rest first, and the exit status says whether it was seen to.
 """
 
@@ -25,13 +25,13 @@ from labdaemon.clock import Clock, SystemClock
 from labdaemon.errors import RestUnconfirmed
 from labdaemon.journal.journal import Journal
 from labdaemon.service.config import RigConfig
-from labdaemon.service.desk import Desk
-from labdaemon.service.devices import build_rig, connect_stoppers
+from labdaemon.service.deferred_commands import DeferredCommands
+from labdaemon.service.devices import build_rig, connect_stop_actuators
 from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
-from labdaemon.service.guarding import Guardian
+from labdaemon.service.guardian_supervisor import GuardianSupervisor
 from labdaemon.service.shaker_lock import ShakerLock
 from labdaemon.service.signals import ending_signals, exit_status, forbid_core_dumps, ignore_suspension, name_of
-from labdaemon.service.start import AskedToEnd, Start
+from labdaemon.service.startup import EndRequest, StartupSequence
 from labdaemon.service.status import place_of
 from labdaemon.service.supervise import supervise
 from labdaemon.service.watchdog import feed, log_stalled, notify
@@ -46,12 +46,12 @@ log = logging.getLogger(__name__)
 SWITCH_S = 0.001
 """How long a busy thread keeps the interpreter to itself: a stop passes three threads on its way to the wire."""
 
-Ready = Callable[[str, str], None]
+ReadyCallback = Callable[[str, str], None]
 """Called with the addresses of commands and events once both are served."""
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class DaemonOptions:
     """How a person started it.
 
     Attributes
@@ -69,33 +69,33 @@ class Options:
     accept_changed_rig: bool = False
 
 
-MakeMeasurer = Callable[["WorkerPool", Journal], "CaptureMeasurer"]
+MeasurerFactory = Callable[["WorkerPool", Journal], "CaptureMeasurer"]
 """What measures stored captures; a crash test has it measured cheaply."""
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class TableContext:
     """The table as the daemon holds it from its first moment to its last."""
 
     config: RigConfig
-    options: Options
+    options: DaemonOptions
     data: Path
     clock: Clock
     rig: Rig
     table: Table
     table_monitor: TableMonitor
     keeping: asyncio.Task[None]
-    guardian: Guardian | None
-    ready: Ready
-    measurer: MakeMeasurer | None
+    guardian: GuardianSupervisor | None
+    ready: ReadyCallback
+    measurer: MeasurerFactory | None
 
 
 @dataclass(slots=True)
-class Held:
-    """What the daemon holds while it serves: the table as `Hold` says, and what it has opened since."""
+class DaemonContext:
+    """What the daemon holds while it serves: the table as `TableContext` says, and what it has opened since."""
 
     config: RigConfig
-    options: Options
+    options: DaemonOptions
     data: Path
     clock: Clock
     rig: Rig
@@ -104,19 +104,19 @@ class Held:
     keeping: asyncio.Task[None]
     journal: Journal
     commands: CommandServer
-    desk: Desk
-    guardian: Guardian | None
+    deferred: DeferredCommands
+    guardian: GuardianSupervisor | None
     identities: dict[str, str]
-    ready: Ready
-    measurer: MakeMeasurer | None
+    ready: ReadyCallback
+    measurer: MeasurerFactory | None
 
 
 def run_daemon(
     config: RigConfig,
-    options: Options | None = None,
+    options: DaemonOptions | None = None,
     *,
-    ready: Ready = lambda *_: None,
-    measurer: MakeMeasurer | None = None,
+    ready: ReadyCallback = lambda *_: None,
+    measurer: MeasurerFactory | None = None,
     lock: ShakerLock | None = None,
 ) -> int:
     """Run until it is asked to end, and return the exit status.
@@ -130,7 +130,7 @@ def run_daemon(
 
     Raises
     ------
-    LockHeld
+    ShakerLockConflict
         Another daemon holds the shaker; its table was left alone.
     RestUnconfirmed
         The table was not seen to come to rest, however the daemon ended.
@@ -141,14 +141,18 @@ def run_daemon(
     if lock is None and config.shaker is not None:
         lock = own = ShakerLock(config.shaker.port, "daemon", config=str(config.source))
     try:
-        return asyncio.run(_run(config, options or Options(), ready, measurer, lock))
+        return asyncio.run(_run_with_table(config, options or DaemonOptions(), ready, measurer, lock))
     finally:
         if own is not None:
             own.release()
 
 
-async def _run(
-    config: RigConfig, options: Options, ready: Ready, measurer: MakeMeasurer | None, lock: ShakerLock | None
+async def _run_with_table(
+    config: RigConfig,
+    options: DaemonOptions,
+    ready: ReadyCallback,
+    measurer: MeasurerFactory | None,
+    lock: ShakerLock | None,
 ) -> int:
     loop = asyncio.get_running_loop()
     end: asyncio.Future[int] = loop.create_future()
@@ -177,8 +181,10 @@ async def _run(
             table_monitor = TableMonitor(rig, table, clock)
             keeping = asyncio.create_task(supervise("table monitor", table_monitor.run, clock))
             afterwards.callback(keeping.cancel)
-            hold = Hold(config, options, data, clock, rig, table, table_monitor, keeping, guardian, ready, measurer)
-            return await _open(hold, lock, end)
+            context = TableContext(
+                config, options, data, clock, rig, table, table_monitor, keeping, guardian, ready, measurer
+            )
+            return await _serve_commands(context, lock, end)
         finally:
             notify("STOPPING=1")
             try:
@@ -198,21 +204,21 @@ async def _come_to_rest(table: Table) -> None:
         log.info("table at rest (%s)", rest.by)
 
 
-async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -> int:
+async def _serve_commands(context: TableContext, lock: ShakerLock | None, end: asyncio.Future[int]) -> int:
     """Take data folder, commands socket and journal, and serve until the end."""
-    start = Start(hold.clock, hold.table, place_of(hold.config.source, hold.data), end)
-    desk = Desk()
-    desk.offer(start.handlers(), start.refusal)
-    commands = CommandServer(hold.config.service.commands, desk.handlers(), desk)
+    start = StartupSequence(context.clock, context.table, place_of(context.config.source, context.data), end)
+    deferred = DeferredCommands()
+    deferred.offer(start.handlers(), start.refusal)
+    commands = CommandServer(context.config.service.commands, deferred.handlers(), deferred)
     try:
         commands.bind()
         if lock is not None:
             lock.note(commands=commands.address)
-        start.parts.append(asyncio.create_task(supervise("commands", commands.run, hold.clock)))
-        start.parts.append(asyncio.create_task(feed(hold.clock, start.checks, log_stalled)))
+        start.parts.append(asyncio.create_task(supervise("commands", commands.run, context.clock)))
+        start.parts.append(asyncio.create_task(feed(context.clock, start.checks, log_stalled)))
         notify(f"READY=1\nSTATUS=commands on {commands.address}")
-        return await _open_data(hold, start, desk, commands)
-    except AskedToEnd:
+        return await _open_data(context, start, deferred, commands)
+    except EndRequest:
         return end.result()
     finally:
         for part in start.parts:
@@ -220,19 +226,22 @@ async def _open(hold: Hold, lock: ShakerLock | None, end: asyncio.Future[int]) -
         commands.close()
 
 
-async def _open_data(hold: Hold, start: Start, desk: Desk, commands: CommandServer) -> int:
+async def _open_data(
+    context: TableContext, start: StartupSequence, deferred: DeferredCommands, commands: CommandServer
+) -> int:
     """Wait for the journal, and serve until the end."""
-    journal = await start.open_journal(hold.data, hold.options.new_journal)
+    journal = await start.open_journal(context.data, context.options.new_journal)
     try:
         # Loading what measures takes longer than bringing the table to rest, so it comes after, and off the loop: on a
         # busy machine it takes seconds, and a table that is not confirmed needs its heartbeat meanwhile.
-        serving = await asyncio.to_thread(import_module, "labdaemon.service.serving")
-        identities = await connect_stoppers(hold.rig)
-        held = Held(
-            hold.config, hold.options, hold.data, hold.clock, hold.rig, hold.table, hold.table_monitor, hold.keeping,
-            journal, commands, desk, hold.guardian, identities, hold.ready, hold.measurer,
+        serving = await asyncio.to_thread(import_module, "labdaemon.service.serve")
+        identities = await connect_stop_actuators(context.rig)
+        daemon_context = DaemonContext(
+            context.config, context.options, context.data, context.clock, context.rig, context.table,
+            context.table_monitor, context.keeping, journal, commands, deferred, context.guardian, identities,
+            context.ready, context.measurer,
         )  # fmt: skip
-        status: int = await serving.serve(held, start)
+        status: int = await serving.serve(daemon_context, start)
         return status
     finally:
         journal.close()

@@ -27,16 +27,16 @@ def build_rig(config: RigConfig) -> Rig:
     ConfigError
         No such driver, or it does not understand its section.
     """
-    stoppers = build_stoppers(config)
+    stop_actuators = build_stop_actuators(config)
     return Rig(
-        stoppers.shaker,
-        stoppers.trigger,
+        stop_actuators.shaker,
+        stop_actuators.trigger,
         {name: _build("camera", camera.driver, name, camera.settings) for name, camera in config.cameras.items()},
         tuple(_build("gauge", gauge.driver, gauge.name, gauge.settings) for gauge in config.gauges),
     )
 
 
-def build_stoppers(config: RigConfig) -> Rig:
+def build_stop_actuators(config: RigConfig) -> Rig:
     """Build only what can stop the table, as a rig of nothing else; a wrong camera section does not matter here."""
     trigger = None
     if config.trigger.driver != "camera":
@@ -52,7 +52,7 @@ def camera_overrides(config: RigConfig) -> dict[str, CameraOverrides]:
     return {name: CameraOverrides(camera.f_number, camera.iso) for name, camera in config.cameras.items()}
 
 
-async def connect_stoppers(rig: Rig) -> dict[str, str]:
+async def connect_stop_actuators(rig: Rig) -> dict[str, str]:
     """Reach whatever can stop the table, shaker and trigger, and return their identities; starts nothing.
 
     One that does not answer is left out: whoever keeps the table goes on trying to reach it.

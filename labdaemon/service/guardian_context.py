@@ -17,7 +17,7 @@ from labdaemon.capture.table import Table
 from labdaemon.clock import Clock
 from labdaemon.service.config import RigConfig
 from labdaemon.service.guardian_process import GuardianSettings
-from labdaemon.service.guarding import Guardian
+from labdaemon.service.guardian_supervisor import GuardianSupervisor
 from labdaemon.service.shaker_lock import lock_holder, wait_free
 
 log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ REPORT_NAME = "guardian.json"
 @asynccontextmanager
 async def guarded_table(
     config: RigConfig, rig: Rig, table: Table, data: Path, clock: Clock
-) -> AsyncIterator[Guardian | None]:
+) -> AsyncIterator[GuardianSupervisor | None]:
     """Guard the table; the guardian is let go only once the table was confirmed at rest, else it takes over.
 
     Enter it when the shaker was reached and nothing has moved, leave it after the last stop. It yields None where the
@@ -58,7 +58,7 @@ async def guarded_table(
             await guardian.release()
 
 
-def _make(config: RigConfig, rig: Rig, table: Table, data: Path, clock: Clock) -> Guardian | None:
+def _make(config: RigConfig, rig: Rig, table: Table, data: Path, clock: Clock) -> GuardianSupervisor | None:
     if rig.shaker is None:
         return None
     driver = rig.shaker.driver
@@ -76,7 +76,7 @@ def _make(config: RigConfig, rig: Rig, table: Table, data: Path, clock: Clock) -
     settings = GuardianSettings(
         str(config.source), data / REPORT_NAME, config.guardian.silence_s, config.guardian.patience_s
     )
-    return Guardian(recipe, settings, clock, lambda: table.may_move)
+    return GuardianSupervisor(recipe, settings, clock, lambda: table.may_move)
 
 
 def wait_for_guardian(port: str) -> None:

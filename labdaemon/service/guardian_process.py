@@ -18,7 +18,7 @@ import serial
 import labdaemon
 from labdaemon.guardian import __main__ as program
 from labdaemon.guardian.recipe import StopRecipe, to_json
-from labdaemon.service.shaker_lock import LockHeld, ShakerLock
+from labdaemon.service.shaker_lock import ShakerLock, ShakerLockConflict
 
 log = logging.getLogger(__name__)
 
@@ -152,7 +152,7 @@ class GuardianProcess:
 def _lock(port: str, rig: str) -> ShakerLock | None:
     try:
         return ShakerLock(port, "guardian", config=rig)
-    except LockHeld as exc:
+    except ShakerLockConflict as exc:
         log.warning("an earlier guardian still holds the shaker: %s", exc)
         return None
 

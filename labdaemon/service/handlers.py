@@ -11,7 +11,7 @@ from labdaemon.capture.paths import campaign_folder
 from labdaemon.capture.table_evidence import describe
 from labdaemon.off_loop import off_loop
 from labdaemon.service.capture_parameters import capture_request
-from labdaemon.service.parameters import Parameters
+from labdaemon.service.command_parameters import CommandParameters
 from labdaemon.stream.commands import Handler
 from labdaemon.stream.events import latest, replay
 from labdaemon.tomlfile import MAX_BYTES
@@ -38,30 +38,30 @@ def handlers(
     journal = engine.context.recorder.journal
 
     async def answer_status(params: dict[str, Any]) -> Any:
-        Parameters(params)
+        CommandParameters(params)
         return {**status(), "seq": journal.last_seq, "journal": journal.uuid}
 
     async def answer_rig(params: dict[str, Any]) -> Any:
-        Parameters(params)
+        CommandParameters(params)
         return rig
 
     async def submit(params: dict[str, Any]) -> Any:
-        given = Parameters(params, "toml", "request_id")
+        given = CommandParameters(params, "toml", "request_id")
         request_id = given.optional_text("request_id", longest=MAX_ID)
         plan = await aside(planner, given.text("toml", longest=MAX_BYTES))
         id = await engine.submit(plan, request_id)
         return {"campaign": id, "folder": str(campaign_folder(engine.context.data, id))}
 
     async def pause(params: dict[str, Any]) -> Any:
-        return {"campaign": await engine.pause(_campaign(Parameters(params, "campaign")))}
+        return {"campaign": await engine.pause(_campaign(CommandParameters(params, "campaign")))}
 
     async def resume(params: dict[str, Any]) -> Any:
-        given = Parameters(params, "campaign", "accept_changed_rig")
+        given = CommandParameters(params, "campaign", "accept_changed_rig")
         accept = given.flag("accept_changed_rig")
         return {"campaign": await engine.resume(_campaign(given), accept_changed_rig=accept)}
 
     async def abort(params: dict[str, Any]) -> Any:
-        return {"campaign": await engine.abort(_campaign(Parameters(params, "campaign")))}
+        return {"campaign": await engine.abort(_campaign(CommandParameters(params, "campaign")))}
 
     async def capture(params: dict[str, Any]) -> Any:
         taken = await engine.capture(capture_request(params))
@@ -75,11 +75,11 @@ def handlers(
         return {"rest": rest.by, "table": table, "seen": seen, "troubles": list(rest.troubles)}
 
     async def replay_events(params: dict[str, Any]) -> Any:
-        Parameters(params, "after", "limit")
+        CommandParameters(params, "after", "limit")
         return await aside(replay, journal, params)
 
     async def latest_events(params: dict[str, Any]) -> Any:
-        Parameters(params)
+        CommandParameters(params)
         return await aside(latest, journal, params)
 
     return {
@@ -96,6 +96,6 @@ def handlers(
     }
 
 
-def _campaign(given: Parameters) -> str | None:
+def _campaign(given: CommandParameters) -> str | None:
     """The campaign that a command is about; None for the current one."""
     return given.optional_text("campaign", longest=MAX_ID)

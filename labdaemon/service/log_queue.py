@@ -21,7 +21,7 @@ CLOSE_S = 0.5
 """How long the end of the process waits for the records that are still queued."""
 
 
-class QueuedHandler(logging.Handler):
+class LogQueueHandler(logging.Handler):
     """A handler that never waits: `write` is called with each record on a thread of its own.
 
     Parameters

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 
 from labdaemon.clock import rfc3339
-from labdaemon.service.log_queue import QueuedHandler
+from labdaemon.service.log_queue import LogQueueHandler
 
 JOURNAL_SOCKET = "/run/systemd/journal/socket"
 PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
@@ -143,7 +143,7 @@ def set_up_logs(level: int = logging.INFO) -> None:
     root = logging.getLogger()
     for handler in root.handlers:
         handler.close()
-    root.handlers[:] = [QueuedHandler(_writer())]
+    root.handlers[:] = [LogQueueHandler(_writer())]
     logging.getLogger("labdaemon").setLevel(level)
     logging.captureWarnings(True)
     threading.excepthook = _log_thread_end

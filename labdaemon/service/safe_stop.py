@@ -19,7 +19,7 @@ from labdaemon.errors import InterlockError, LabdaemonError
 from labdaemon.service.guardian_context import wait_for_guardian
 from labdaemon.service.shaker_lock import LockHolder, ShakerLock, lock_holder
 from labdaemon.service.signals import ending_signals
-from labdaemon.service.stoppers import Stoppers, read_stoppers
+from labdaemon.service.stop_actuators import StopActuators, read_stop_actuators
 
 log = logging.getLogger(__name__)
 
@@ -51,19 +51,19 @@ def take_table(path: Path) -> HeldTable:
 
     Raises
     ------
-    LockHeld
+    ShakerLockConflict
         Another daemon holds the shaker; its table was left alone.
     ConfigError
         The file cannot be read at all.
     """
-    stoppers = read_stoppers(path)
+    stop_actuators = read_stop_actuators(path)
     lock = None
-    if stoppers.port is not None:
-        lock = ShakerLock(stoppers.port, "daemon", config=str(path))
-        wait_for_guardian(stoppers.port)
+    if stop_actuators.port is not None:
+        lock = ShakerLock(stop_actuators.port, "daemon", config=str(path))
+        wait_for_guardian(stop_actuators.port)
     signals: list[int] = []
     try:
-        rest = asyncio.run(_stop(stoppers, signals))
+        rest = asyncio.run(_stop(stop_actuators, signals))
     except InterlockError as exc:
         log.critical("%s", exc)
         return HeldTable(lock, exc, signals[0] if signals else None)
@@ -81,17 +81,17 @@ def stop_table(path: Path) -> str:
     ConfigError
         The file cannot be read at all.
     """
-    stoppers = read_stoppers(path)
-    holder = lock_holder(stoppers.port, "daemon") if stoppers.port is not None else None
+    stop_actuators = read_stop_actuators(path)
+    holder = lock_holder(stop_actuators.port, "daemon") if stop_actuators.port is not None else None
     if holder is not None:
         answer = _ask(holder)
         if answer is not None:
             return answer
         log.warning("the daemon (process %s) does not answer: the table is stopped past it", holder.pid)
-        stoppers = read_stoppers(path, exclusive=False)
-    elif stoppers.port is not None:
-        wait_for_guardian(stoppers.port)
-    return _sentence(asyncio.run(_stop(stoppers, [])))
+        stop_actuators = read_stop_actuators(path, exclusive=False)
+    elif stop_actuators.port is not None:
+        wait_for_guardian(stop_actuators.port)
+    return _sentence(asyncio.run(_stop(stop_actuators, [])))
 
 
 def _ask(holder: LockHolder) -> str | None:
@@ -119,35 +119,39 @@ def _ask(holder: LockHolder) -> str | None:
     return f"table at rest, by the daemon (process {holder.pid}; {seen or 'no shaker'})"
 
 
-async def _stop(stoppers: Stoppers, signals: list[int]) -> RestConfirmation:
+async def _stop(stop_actuators: StopActuators, signals: list[int]) -> RestConfirmation:
     """Stop to the end; signals that would end the process meanwhile are noted."""
     loop = asyncio.get_running_loop()
     for number in ending_signals():
         loop.add_signal_handler(number, signals.append, number)
-    for trouble in stoppers.troubles:
+    for trouble in stop_actuators.troubles:
         log.warning("%s", trouble)
-    if stoppers.rig.shaker is None and not stoppers.is_without_shaker:
-        return await _stop_by_line_alone(stoppers)
+    if stop_actuators.rig.shaker is None and not stop_actuators.is_without_shaker:
+        return await _stop_by_line_alone(stop_actuators)
     try:
         return await bring_to_rest(
-            stoppers.rig, TableObserver(stoppers.rig, SystemClock()), SystemClock(), at_once=True, patience_s=PATIENCE_S
+            stop_actuators.rig,
+            TableObserver(stop_actuators.rig, SystemClock()),
+            SystemClock(),
+            at_once=True,
+            patience_s=PATIENCE_S,
         )
     finally:
-        await stoppers.rig.close()
+        await stop_actuators.rig.close()
 
 
-async def _stop_by_line_alone(stoppers: Stoppers) -> RestConfirmation:
+async def _stop_by_line_alone(stop_actuators: StopActuators) -> RestConfirmation:
     """[shaker] cannot be read: the enable line is all that is left, and it was never proven here."""
-    troubles = list(stoppers.troubles) or ["[shaker] cannot be read"]
-    observer = TableObserver(stoppers.rig, SystemClock())
-    if stoppers.rig.trigger is not None:
+    troubles = list(stop_actuators.troubles) or ["[shaker] cannot be read"]
+    observer = TableObserver(stop_actuators.rig, SystemClock())
+    if stop_actuators.rig.trigger is not None:
         try:
-            await stoppers.rig.trigger.urgent(lambda driver: driver.drop_enable())
+            await stop_actuators.rig.trigger.urgent(lambda driver: driver.drop_enable())
             troubles.append("the enable line was dropped")
         except LabdaemonError as exc:
             troubles.append(str(exc))
         finally:
-            await stoppers.rig.close()
+            await stop_actuators.rig.close()
     raise rest_unconfirmed(observer.evidence(), troubles)
 
 

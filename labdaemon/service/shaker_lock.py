@@ -38,7 +38,7 @@ NOTE_BYTES = 1024
 LONGEST_NOTE = 8192
 
 
-class LockHeld(ConfigError):
+class ShakerLockConflict(ConfigError):
     """Another process holds the shaker; `holder` says which."""
 
     def __init__(self, message: str, holder: LockHolder) -> None:
@@ -121,7 +121,7 @@ class ShakerLock:
 
     Raises
     ------
-    LockHeld
+    ShakerLockConflict
         Another process holds it.
     """
 
@@ -134,7 +134,7 @@ class ShakerLock:
         try:
             for key in lock_keys(port):
                 self._take(f"{key}.{role}")
-        except LockHeld:
+        except ShakerLockConflict:
             self.release()
             raise
         self._write()
@@ -269,10 +269,10 @@ def _read(file: int) -> LockHolder:
     return LockHolder(None)
 
 
-def _held(port: str, holder: LockHolder) -> LockHeld:
+def _held(port: str, holder: LockHolder) -> ShakerLockConflict:
     pid = "unknown" if holder.pid is None else holder.pid
     of = f" for {holder.config}" if holder.config else ""
-    return LockHeld(
+    return ShakerLockConflict(
         f"another labdaemon (process {pid}{of}) holds the shaker on {port}, and its table was left alone; "
         "end that one first",
         holder,

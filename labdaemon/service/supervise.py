@@ -16,7 +16,7 @@ DISK_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Restarts:
+class RestartPolicy:
     """How often and how fast.
 
     Attributes
@@ -33,7 +33,9 @@ class Restarts:
     longest_s: float = 30.0
 
 
-async def supervise(name: str, run: Callable[[], Awaitable[None]], clock: Clock, rule: Restarts = Restarts()) -> None:
+async def supervise(
+    name: str, run: Callable[[], Awaitable[None]], clock: Clock, policy: RestartPolicy = RestartPolicy()
+) -> None:
     """Run `run` until it returns; restart it when it raises.
 
     Raises
@@ -49,16 +51,16 @@ async def supervise(name: str, run: Callable[[], Awaitable[None]], clock: Clock,
             if is_of_disk(exc):
                 # However long the disk takes nothing, it is no failure of this part.
                 log.warning("%s waits for the disk: %s", name, exc)
-                await clock.sleep(min(rule.longest_s, DISK_S))
+                await clock.sleep(min(policy.longest_s, DISK_S))
                 continue
             now_s = clock.monotonic()
-            failures = [at_s for at_s in failures if now_s - at_s < rule.window_s] + [now_s]
-            if len(failures) > rule.limit:
+            failures = [at_s for at_s in failures if now_s - at_s < policy.window_s] + [now_s]
+            if len(failures) > policy.limit:
                 raise
             log.exception(
-                "%s failed (%d of %d within %g s) and is restarted", name, len(failures), rule.limit, rule.window_s
+                "%s failed (%d of %d within %g s) and is restarted", name, len(failures), policy.limit, policy.window_s
             )
-            await clock.sleep(min(rule.first_s * 2.0 ** (len(failures) - 1), rule.longest_s))
+            await clock.sleep(min(policy.first_s * 2.0 ** (len(failures) - 1), policy.longest_s))
         else:
             return
 

@@ -8,7 +8,7 @@ import pytest
 
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import LimitError
-from labdaemon.service.desk import METHODS, Desk
+from labdaemon.service.deferred_commands import METHODS, DeferredCommands
 from labdaemon.service.handlers import handlers
 from labdaemon.service.status import status_of
 from labdaemon.stream.messages import InvalidParams, WrongState
@@ -39,12 +39,12 @@ def serve(tmp_path: Path):
         async def main():
             lab = FakeLab(tmp_path, clock)
             lab.start()
-            desk = Desk()
+            deferred = DeferredCommands()
             served = handlers(lab.engine, lab.plan, lambda: status_of(lab.engine), {"rig": 1}, aside=at_once)
-            desk.open(served, lab.journal)
-            asked = desk.handlers()
+            deferred.open(served, lab.journal)
+            asked = deferred.handlers()
             try:
-                await scenario(lab, desk, lambda method, **params: asked[method](params))
+                await scenario(lab, deferred, lambda method, **params: asked[method](params))
             finally:
                 await lab.kill()
 
@@ -61,11 +61,11 @@ def test_every_method_of_the_contract_is_there():
 
 
 def test_status_follows_a_campaign(serve):
-    async def scenario(lab, desk, ask):
+    async def scenario(lab, deferred, ask):
         assert (await ask("status"))["state"] == "idle"
         answer = await ask("campaign.submit", toml=CAMPAIGN, request_id="r")
         assert Path(answer["folder"]).name == answer["campaign"]
-        assert desk.answer("r") == {"campaign": answer["campaign"]}
+        assert deferred.answer("r") == {"campaign": answer["campaign"]}
         await lab.clock.sleep(8.0)
         status = await ask("status")
         assert (status["state"], status["campaign"], status["name"]) == ("running", answer["campaign"], "handled")
@@ -98,7 +98,7 @@ def test_status_follows_a_campaign(serve):
 
 
 def test_wrong_parameters_are_refused(serve):
-    async def scenario(lab, desk, ask):
+    async def scenario(lab, deferred, ask):
         with pytest.raises(InvalidParams, match="toml is a text"):
             await ask("campaign.submit", toml=7)
         with pytest.raises(LimitError):
@@ -118,11 +118,11 @@ def test_wrong_parameters_are_refused(serve):
 
 def test_a_command_before_there_is_somebody_to_do_it_waits():
     async def main() -> None:
-        desk = Desk()
-        asked = asyncio.create_task(desk.handlers()["status"]({}))
+        deferred = DeferredCommands()
+        asked = asyncio.create_task(deferred.handlers()["status"]({}))
         await asyncio.sleep(0)
         assert not asked.done()
-        assert desk.answer("r") is None
+        assert deferred.answer("r") is None
 
         async def status(params):
             return "here"
@@ -130,9 +130,9 @@ def test_a_command_before_there_is_somebody_to_do_it_waits():
         async def early(params):
             return "early"
 
-        desk.offer({"stop": early})
-        assert await desk.handlers()["stop"]({}) == "early"
-        desk.open({"status": status}, None)  # type: ignore[arg-type]
+        deferred.offer({"stop": early})
+        assert await deferred.handlers()["stop"]({}) == "early"
+        deferred.open({"status": status}, None)  # type: ignore[arg-type]
         assert await asked == "here"
 
     asyncio.run(main())

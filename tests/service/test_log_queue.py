@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.service.log_queue import LONGEST_TEXT, QueuedHandler
+from labdaemon.service.log_queue import LONGEST_TEXT, LogQueueHandler
 from labdaemon.service.logs import JournalWriter, JsonFormatter, StreamWriter
 
 
@@ -22,7 +22,7 @@ def record(message: str, *values: object) -> logging.LogRecord:
 
 
 @pytest.fixture
-def stuck() -> Iterator[tuple[QueuedHandler, list[str], threading.Event]]:
+def stuck() -> Iterator[tuple[LogQueueHandler, list[str], threading.Event]]:
     """A handler whose reader reads only once the event is set."""
     written: list[str] = []
     reads = threading.Event()
@@ -31,13 +31,13 @@ def stuck() -> Iterator[tuple[QueuedHandler, list[str], threading.Event]]:
         reads.wait(20)
         written.append(one.getMessage())
 
-    handler = QueuedHandler(write, capacity=3)
+    handler = LogQueueHandler(write, capacity=3)
     yield handler, written, reads
     reads.set()
     handler.close()
 
 
-def test_records_that_find_no_room_are_dropped_and_counted(stuck: tuple[QueuedHandler, list[str], threading.Event]):
+def test_records_that_find_no_room_are_dropped_and_counted(stuck: tuple[LogQueueHandler, list[str], threading.Event]):
     handler, written, reads = stuck
     for number in range(100):
         handler.handle(record("record %d", number))
@@ -55,7 +55,7 @@ def test_records_that_find_no_room_are_dropped_and_counted(stuck: tuple[QueuedHa
 
 def test_an_unread_pipe_holds_up_neither_records_nor_the_end():
     reader, writer = os.pipe()
-    handler = QueuedHandler(StreamWriter(writer, JsonFormatter()), capacity=10)
+    handler = LogQueueHandler(StreamWriter(writer, JsonFormatter()), capacity=10)
     began = time.monotonic()
     for _ in range(400):
         handler.handle(record("x" * 1000))
@@ -79,7 +79,7 @@ def test_a_full_journal_socket_holds_up_nothing(tmp_path: Path):
     address = str(tmp_path / "socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
         journal.bind(address)
-        handler = QueuedHandler(JournalWriter(address), capacity=10)
+        handler = LogQueueHandler(JournalWriter(address), capacity=10)
         for number in range(5000):
             handler.handle(record("record %d", number))
         assert handler.dropped > 0
@@ -98,7 +98,7 @@ def test_a_writer_that_fails_costs_its_record_only():
             raise OSError(28, "No space left on device")
         written.append(one.getMessage())
 
-    handler = QueuedHandler(write)
+    handler = LogQueueHandler(write)
     for text in ("bad", "good"):
         handler.handle(record(text))
     handler.flush()
@@ -109,7 +109,7 @@ def test_a_writer_that_fails_costs_its_record_only():
 
 def test_texts_are_made_when_logged_bounded_and_encodable():
     written: list[str] = []
-    handler = QueuedHandler(lambda one: written.append(one.getMessage()))
+    handler = LogQueueHandler(lambda one: written.append(one.getMessage()))
     values = [1]
     handler.handle(record("values %s", values))
     values.append(2)

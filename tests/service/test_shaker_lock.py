@@ -9,7 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from labdaemon.service.shaker_lock import FOLDER_VARIABLE, LockHeld, ShakerLock, lock_holder, lock_keys, wait_free
+from labdaemon.service.shaker_lock import (
+    FOLDER_VARIABLE,
+    ShakerLock,
+    ShakerLockConflict,
+    lock_holder,
+    lock_keys,
+    wait_free,
+)
 
 PORT = "socket://127.0.0.1:4001"
 
@@ -23,7 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_second_holder_is_refused_and_learns_who_has_it() -> None:
     first = ShakerLock(PORT, "daemon", config="rig.toml")
     first.note(commands="tcp://127.0.0.1:5570")
-    with pytest.raises(LockHeld, match=f"process {os.getpid()} for rig.toml") as refused:
+    with pytest.raises(ShakerLockConflict, match=f"process {os.getpid()} for rig.toml") as refused:
         ShakerLock("rfc2217://localhost:4001", "daemon")
     assert refused.value.exit_status == 2
     assert refused.value.holder.commands == "tcp://127.0.0.1:5570"
@@ -65,10 +72,10 @@ def test_a_link_and_the_device_it_leads_to_are_one_port(folder: Path) -> None:
     device.touch()
     link.symlink_to(device)
     lock = ShakerLock(str(link), "daemon")
-    with pytest.raises(LockHeld):
+    with pytest.raises(ShakerLockConflict):
         ShakerLock(str(device), "daemon")
     link.unlink()  # the device is gone, and its link with it
-    with pytest.raises(LockHeld):
+    with pytest.raises(ShakerLockConflict):
         ShakerLock(str(link), "daemon")
     lock.release()
 

@@ -8,10 +8,10 @@ import pytest
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import ConfigError, InterlockError, ServiceFailure, StorageFull, StorageUnavailable
 from labdaemon.journal.storage import JournalError
-from labdaemon.service.supervise import Restarts, as_failure, supervise
+from labdaemon.service.supervise import RestartPolicy, as_failure, supervise
 
 
-def run(failures: int, rule: Restarts, gap_s: float = 0.0) -> tuple[SimulatedClock, list[float]]:
+def run(failures: int, rule: RestartPolicy, gap_s: float = 0.0) -> tuple[SimulatedClock, list[float]]:
     clock, starts = SimulatedClock(), []
 
     async def part() -> None:
@@ -26,18 +26,18 @@ def run(failures: int, rule: Restarts, gap_s: float = 0.0) -> tuple[SimulatedClo
 
 def test_it_is_restarted_with_growing_pauses(caplog: pytest.LogCaptureFixture):
     with caplog.at_level(logging.ERROR):
-        _, starts = run(4, Restarts(limit=5, first_s=1.0, longest_s=4.0))
+        _, starts = run(4, RestartPolicy(limit=5, first_s=1.0, longest_s=4.0))
     assert [later - earlier for earlier, later in itertools.pairwise(starts)] == [1.0, 2.0, 4.0, 4.0]
     assert len(caplog.records) == 4
 
 
 def test_what_fails_too_often_is_passed_on():
     with pytest.raises(OSError, match="broken"):
-        run(10, Restarts(limit=3))
+        run(10, RestartPolicy(limit=3))
 
 
 def test_failures_long_ago_do_not_count():
-    _, starts = run(20, Restarts(limit=2, window_s=100.0), gap_s=60.0)
+    _, starts = run(20, RestartPolicy(limit=2, window_s=100.0), gap_s=60.0)
     assert len(starts) == 21
 
 
@@ -49,7 +49,7 @@ def test_a_disk_that_takes_nothing_is_waited_for_without_a_limit():
         if len(starts) <= 100:
             raise ExceptionGroup("tasks", [StorageFull("full"), StorageUnavailable("locked")])
 
-    clock.run(supervise("part", part, clock, Restarts(limit=2)))
+    clock.run(supervise("part", part, clock, RestartPolicy(limit=2)))
     assert len(starts) == 101
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from labdaemon.clock import SystemClock
 from labdaemon.service.guardian_process import GuardianSettings
-from labdaemon.service.guarding import Guardian
+from labdaemon.service.guardian_supervisor import GuardianSupervisor
 from labdrivers.scpi import ScpiShaker
 
 
@@ -31,7 +31,7 @@ async def main(port: str, config: str, report: str) -> None:
     moving = True
     recipe = shaker.stop_recipe()
     assert recipe is not None
-    guardian = Guardian(recipe, GuardianSettings(config, Path(report)), SystemClock(), lambda: moving)
+    guardian = GuardianSupervisor(recipe, GuardianSettings(config, Path(report)), SystemClock(), lambda: moving)
     guardian.on_lost = lambda reason: say(lost=reason)
     await guardian.start()
     beating = asyncio.create_task(guardian.run())

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from labdaemon.bench.kill_child import QuickMeasurer
 from labdaemon.service.config import load_rig
-from labdaemon.service.daemon import Options, run_daemon
+from labdaemon.service.daemon import DaemonOptions, run_daemon
 
 BLOCK_BYTES = 1 << 20
 
@@ -39,7 +39,7 @@ def main(arguments: list[str]) -> int:
 
     return run_daemon(
         load_rig(Path(config)),
-        Options(Path(data)),
+        DaemonOptions(Path(data)),
         ready=ready,
         measurer=lambda pool, _: QuickMeasurer(pool),
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from labdaemon.errors import ConfigError
-from labdaemon.service.stoppers import cut_sections, read_stoppers
+from labdaemon.service.stop_actuators import cut_sections, read_stop_actuators
 
 RIG = """
 [service]
@@ -57,11 +57,11 @@ def rig(tmp_path: Path, text: str | bytes) -> Path:
     ],
 )
 def test_a_slip_elsewhere_does_not_matter(tmp_path: Path, slip):
-    stoppers = read_stoppers(rig(tmp_path, slip(RIG)))
-    assert stoppers.port == "socket://127.0.0.1:4001"
-    assert stoppers.rig.shaker is not None
-    assert stoppers.rig.trigger is not None
-    assert stoppers.troubles == ()
+    stop_actuators = read_stop_actuators(rig(tmp_path, slip(RIG)))
+    assert stop_actuators.port == "socket://127.0.0.1:4001"
+    assert stop_actuators.rig.shaker is not None
+    assert stop_actuators.rig.trigger is not None
+    assert stop_actuators.troubles == ()
 
 
 @pytest.mark.parametrize(
@@ -78,24 +78,26 @@ def test_a_slip_elsewhere_does_not_matter(tmp_path: Path, slip):
     ],
 )
 def test_what_of_the_shaker_s_own_section_can_be_read_is_enough_to_stop_it(tmp_path: Path, slip):
-    stoppers = read_stoppers(rig(tmp_path, slip(RIG)))
-    assert stoppers.port == "socket://127.0.0.1:4001"
-    assert stoppers.rig.shaker is not None
-    assert stoppers.rig.trigger is not None
+    stop_actuators = read_stop_actuators(rig(tmp_path, slip(RIG)))
+    assert stop_actuators.port == "socket://127.0.0.1:4001"
+    assert stop_actuators.rig.shaker is not None
+    assert stop_actuators.rig.trigger is not None
 
 
 def test_without_the_shaker_s_port_the_trigger_is_left_and_it_says_so(tmp_path: Path):
-    stoppers = read_stoppers(rig(tmp_path, RIG.replace('port = "socket://127.0.0.1:4001"', "port = socket")))
-    assert stoppers.rig.shaker is None
-    assert stoppers.rig.trigger is not None
-    assert not stoppers.is_without_shaker
-    assert any("port = socket" in trouble for trouble in stoppers.troubles)
+    stop_actuators = read_stop_actuators(
+        rig(tmp_path, RIG.replace('port = "socket://127.0.0.1:4001"', "port = socket"))
+    )
+    assert stop_actuators.rig.shaker is None
+    assert stop_actuators.rig.trigger is not None
+    assert not stop_actuators.is_without_shaker
+    assert any("port = socket" in trouble for trouble in stop_actuators.troubles)
 
 
 def test_a_rig_without_shaker_is_one_only_where_the_file_can_be_read(tmp_path: Path):
     without = '[cameras.left]\ndriver = "ptp"\n'
-    assert read_stoppers(rig(tmp_path, without)).is_without_shaker
-    assert not read_stoppers(rig(tmp_path, without + "x =\n")).is_without_shaker
+    assert read_stop_actuators(rig(tmp_path, without)).is_without_shaker
+    assert not read_stop_actuators(rig(tmp_path, without + "x =\n")).is_without_shaker
 
 
 def test_dotted_keys_and_inline_tables_count_too():
@@ -106,4 +108,4 @@ def test_dotted_keys_and_inline_tables_count_too():
 
 def test_a_file_that_is_not_there_is_said(tmp_path: Path):
     with pytest.raises(ConfigError, match="cannot be read"):
-        read_stoppers(tmp_path / "absent.toml")
+        read_stop_actuators(tmp_path / "absent.toml")

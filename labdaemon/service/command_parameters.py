@@ -9,10 +9,10 @@ from labdaemon.stream.text_limits import shown
 from labdaemon.tomlfile import nearest
 
 
-class Parameters:
+class CommandParameters:
     """Reads the parameters of one command.
 
-    Parameters
+    CommandParameters
     ----------
     params
         As they came; all text in them is text (`labdaemon.stream.messages.parse_request`).

@@ -18,10 +18,10 @@ from labdaemon.clock import SystemClock
 from labdaemon.errors import DeviceError, StorageError, TransportError
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.storage import JournalError
-from labdaemon.service import desk as desk_module
-from labdaemon.service import start as start_module
-from labdaemon.service.desk import Desk
-from labdaemon.service.start import DATA, AskedToEnd, Start
+from labdaemon.service import deferred_commands as deferred_module
+from labdaemon.service import startup as start_module
+from labdaemon.service.deferred_commands import DeferredCommands
+from labdaemon.service.startup import DATA, EndRequest, StartupSequence
 from labdaemon.stream.messages import DEVICE, WRONG_STATE, WrongState, code_of
 
 
@@ -48,14 +48,14 @@ class LateDevice:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_module, "RETRY_S", 0.01)
-    monkeypatch.setattr(desk_module, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(deferred_module, "PATIENCE_S", 0.05)
 
 
 @pytest.fixture
-async def start() -> Start:
+async def start() -> StartupSequence:
     clock = SystemClock()
     end: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-    return Start(clock, Table(Rig(None, None, {}), clock, None), {"pid": 1}, end)
+    return StartupSequence(clock, Table(Rig(None, None, {}), clock, None), {"pid": 1}, end)
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -64,7 +64,7 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-async def test_devices_that_come_late_are_named_and_taken_up(start: Start):
+async def test_devices_that_come_late_are_named_and_taken_up(start: StartupSequence):
     left, gauge = LateDevice("left"), LateDevice("gauge")
     rig = Rig(
         None,
@@ -91,16 +91,16 @@ async def test_devices_that_come_late_are_named_and_taken_up(start: Start):
     assert left.closed > 0
 
 
-async def test_the_end_is_not_waited_for(start: Start):
+async def test_the_end_is_not_waited_for(start: StartupSequence):
     rig = Rig(None, None, {"left": DeviceHandle(LateDevice("left"), ThreadExecutor("left"))})  # type: ignore[arg-type]
     waiting = asyncio.create_task(start.reach_devices(rig, {}))
     await until(lambda: "left" in start.waiting_for)
     start.end.set_result(0)
-    with pytest.raises(AskedToEnd):
+    with pytest.raises(EndRequest):
         await waiting
 
 
-async def test_an_error_of_a_running_part_ends_the_wait(start: Start):
+async def test_an_error_of_a_running_part_ends_the_wait(start: StartupSequence):
     async def fail() -> None:
         raise OSError("broken")
 
@@ -111,7 +111,7 @@ async def test_an_error_of_a_running_part_ends_the_wait(start: Start):
 
 
 @pytest.mark.parametrize("obstacle", ["file", "link"])
-async def test_a_data_folder_that_comes_late_is_waited_for(start: Start, tmp_path: Path, obstacle: str):
+async def test_a_data_folder_that_comes_late_is_waited_for(start: StartupSequence, tmp_path: Path, obstacle: str):
     disk = tmp_path / "disk"
     if obstacle == "file":
         disk.write_text("nothing is mounted here yet")
@@ -129,7 +129,7 @@ async def test_a_data_folder_that_comes_late_is_waited_for(start: Start, tmp_pat
 
 
 async def test_a_journal_that_another_process_has_locked_is_waited_for(
-    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    start: StartupSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("labdaemon.journal.journal.BUSY_S", 0.05)
     Journal(tmp_path, SystemClock()).close()
@@ -143,7 +143,7 @@ async def test_a_journal_that_another_process_has_locked_is_waited_for(
 
 
 @pytest.mark.parametrize("what", ["damaged", "name", "held"])
-async def test_what_a_person_must_change_is_not_waited_for(start: Start, tmp_path: Path, what: str):
+async def test_what_a_person_must_change_is_not_waited_for(start: StartupSequence, tmp_path: Path, what: str):
     folder, held = tmp_path, None
     if what == "damaged":
         (tmp_path / "journal.db").write_bytes(b"\xa5" * 8192)
@@ -159,11 +159,11 @@ async def test_what_a_person_must_change_is_not_waited_for(start: Start, tmp_pat
         held.close()
 
 
-async def test_commands_that_need_what_is_missing_are_refused_by_its_name(start: Start):
-    desk = Desk()
-    desk.offer(start.handlers(), start.refusal)
+async def test_commands_that_need_what_is_missing_are_refused_by_its_name(start: StartupSequence):
+    deferred = DeferredCommands()
+    deferred.offer(start.handlers(), start.refusal)
     start.waiting_for["left"] = "left: its port does not open"
-    handlers = desk.handlers()
+    handlers = deferred.handlers()
     assert (await handlers["status"]({}))["state"] == "starting"
     assert (await handlers["stop"]({}))["rest"] == "none"
     with pytest.raises(DeviceError, match="left: the daemon waits for it"):

@@ -28,7 +28,7 @@ START_S, START_POLL_S = 30.0, 0.02
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 30.0
 
 
-class Guardian:
+class GuardianSupervisor:
     """A guardian process, and the next one when it ends.
 
     Parameters

@@ -26,13 +26,13 @@ from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable
 from labdaemon.off_loop import off_loop
 from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
-from labdaemon.service.daemon import Held
+from labdaemon.service.daemon import DaemonContext
 from labdaemon.service.devices import camera_overrides
 from labdaemon.service.fault_hook import FaultHook, resolved
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
-from labdaemon.service.measuring import PoolMeasurer
-from labdaemon.service.start import ExposureSteps, Start
+from labdaemon.service.pool_measurer import PoolMeasurer
+from labdaemon.service.startup import ExposureSteps, StartupSequence
 from labdaemon.service.status import status_of
 from labdaemon.service.supervise import as_failure, supervise
 from labdaemon.service.watchdog import notify
@@ -42,7 +42,7 @@ from labdaemon.stream.events import EventPublisher, latest, replay
 log = logging.getLogger(__name__)
 
 
-async def serve(held: Held, start: Start) -> int:
+async def serve(context: DaemonContext, start: StartupSequence) -> int:
     """Wait for the devices, then serve until asked to end, or until a part fails for good.
 
     The table is at rest when this returns, or it was said that it is not.
@@ -56,21 +56,21 @@ async def serve(held: Held, start: Start) -> int:
 
     Raises
     ------
-    AskedToEnd
+    EndRequest
         Before all devices were there.
     LabdaemonError
         The events address is taken, or a part failed too often. Never exit status 2 once it has served.
     """
     engine: Engine | None = None
-    config = held.config
+    config = context.config
 
     def status() -> dict[str, Any]:
-        guardian = held.guardian.describe() if held.guardian is not None else None
+        guardian = context.guardian.describe() if context.guardian is not None else None
         report = status_of(engine, start.place) if engine is not None else start.status()
         return report | {"guardian": guardian}
 
-    publisher = EventPublisher(config.service.events, held.journal, status, held.clock)
-    hook = _fault_hook(held, start.place)
+    publisher = EventPublisher(config.service.events, context.journal, status, context.clock)
+    hook = _fault_hook(context, start.place)
 
     def committed() -> None:
         publisher.wake()
@@ -78,25 +78,25 @@ async def serve(held: Held, start: Start) -> int:
             hook.wake()
 
     recorder = Recorder(
-        held.journal, ThreadExecutor("journal"), committed, ThreadExecutor("data disk"), ThreadExecutor("plans")
+        context.journal, ThreadExecutor("journal"), committed, ThreadExecutor("data disk"), ThreadExecutor("plans")
     )
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()
-        start.parts += [asyncio.create_task(supervise("events", publisher.run, held.clock)), held.keeping]
-        start.announce = _once(lambda: held.ready(held.commands.address, publisher.address))
-        held.desk.offer(_early(held, start, publisher, status), start.refusal)
-        identities, steps = await start.reach_devices(held.rig, held.identities)
-        engine = _engine(held, recorder, pool, partial(_plan, held, steps))
-        await _heed_guardian(held, engine)
-        rig = _describe(held, identities, publisher.address)
-        submitted = partial(_plan, held, steps, check_disk=True)
-        held.table_monitor.report, held.table_monitor.trip = engine.report, engine.trip
+        start.parts += [asyncio.create_task(supervise("events", publisher.run, context.clock)), context.keeping]
+        start.announce = _once(lambda: context.ready(context.commands.address, publisher.address))
+        context.deferred.offer(_early(context, start, publisher, status), start.refusal)
+        identities, steps = await start.reach_devices(context.rig, context.identities)
+        engine = _engine(context, recorder, pool, partial(_plan, context, steps))
+        await _heed_guardian(context, engine)
+        rig = _describe(context, identities, publisher.address)
+        submitted = partial(_plan, context, steps, check_disk=True)
+        context.table_monitor.report, context.table_monitor.trip = engine.report, engine.trip
         start.checks |= _checks(engine)
-        held.desk.open(handlers(engine, submitted, status, rig), held.journal)
+        context.deferred.open(handlers(engine, submitted, status, rig), context.journal)
         if hook is not None:
             engine.reporter.unrecorded = hook.unrecorded
-        return await _run_parts(held, engine, publisher, start, hook)
+        return await _run_parts(context, engine, publisher, start, hook)
     finally:
         publisher.close()
         pool.close()
@@ -114,24 +114,24 @@ def _once(work: Callable[[], None]) -> Callable[[], None]:
     return call
 
 
-async def _heed_guardian(held: Held, engine: Engine) -> None:
+async def _heed_guardian(context: DaemonContext, engine: Engine) -> None:
     """Pause when the guardian is lost, and report what an earlier daemon's guardian did."""
-    report = take_report(held.data / REPORT_NAME)
+    report = take_report(context.data / REPORT_NAME)
     if report is not None:
         await engine.reporter.fault(
             DeviceError(report, device="guardian"), campaign=None, step=None, action="look why the daemon ended"
         )
-    if held.guardian is None:
+    if context.guardian is None:
         return
 
     def lost(reason: str) -> None:
         log.error("%s", reason)
         engine.trip(InterlockError(reason))
 
-    held.guardian.on_lost = lost
+    context.guardian.on_lost = lost
 
 
-def _fault_hook(held: Held, place: Mapping[str, Any]) -> FaultHook | None:
+def _fault_hook(context: DaemonContext, place: Mapping[str, Any]) -> FaultHook | None:
     """What carries faults to a person; None where the rig file names nothing.
 
     Raises
@@ -139,28 +139,28 @@ def _fault_hook(held: Held, place: Mapping[str, Any]) -> FaultHook | None:
     ConfigError
         The program is not there.
     """
-    command = held.config.service.on_fault_command
+    command = context.config.service.on_fault_command
     if command is None:
         return None
-    return FaultHook(resolved(command, held.config.source), held.journal, place, held.clock)
+    return FaultHook(resolved(command, context.config.source), context.journal, place, context.clock)
 
 
 def _early(
-    held: Held, start: Start, publisher: EventPublisher, report: Callable[[], dict[str, Any]]
+    context: DaemonContext, start: StartupSequence, publisher: EventPublisher, report: Callable[[], dict[str, Any]]
 ) -> dict[str, Handler]:
     """Commands that are carried out while devices are waited for: also what `watch` asks for."""
 
     async def status(params: dict[str, Any]) -> Any:
-        return {**report(), "seq": held.journal.last_seq, "journal": held.journal.uuid}
+        return {**report(), "seq": context.journal.last_seq, "journal": context.journal.uuid}
 
     async def rig(params: dict[str, Any]) -> Any:
-        return _describe(held, held.identities, publisher.address)
+        return _describe(context, context.identities, publisher.address)
 
     async def replay_events(params: dict[str, Any]) -> Any:
-        return await off_loop(replay, held.journal, params)
+        return await off_loop(replay, context.journal, params)
 
     async def latest_events(params: dict[str, Any]) -> Any:
-        return await off_loop(latest, held.journal, params)
+        return await off_loop(latest, context.journal, params)
 
     return {
         **start.handlers(),
@@ -172,13 +172,13 @@ def _early(
 
 
 async def _run_parts(
-    held: Held, engine: Engine, publisher: EventPublisher, start: Start, hook: FaultHook | None
+    context: DaemonContext, engine: Engine, publisher: EventPublisher, start: StartupSequence, hook: FaultHook | None
 ) -> int:
     parts: list[asyncio.Future[Any]] = [*start.parts, asyncio.create_task(engine.run())]
     if hook is not None:
-        parts.append(asyncio.create_task(supervise("on_fault", hook.run, held.clock)))
+        parts.append(asyncio.create_task(supervise("on_fault", hook.run, context.clock)))
     start.announce()
-    notify(f"STATUS=serving on {held.commands.address}")
+    notify(f"STATUS=serving on {context.commands.address}")
     try:
         await asyncio.wait([*parts, start.end], return_when=asyncio.FIRST_COMPLETED)
         for part in parts:
@@ -189,49 +189,49 @@ async def _run_parts(
         for part in parts:
             part.cancel()
         with suppress(InterlockError):  # said on the way out, by the stop that decides the exit status
-            await held.table.stop(patience_s=0.0)
+            await context.table.stop(patience_s=0.0)
         await asyncio.gather(*parts, return_exceptions=True)
         await engine.queue.cancel()
         if hook is not None:
             await hook.flush()
 
 
-def _engine(held: Held, recorder: Recorder, pool: WorkerPool, planner: Callable[[str], Plan]) -> Engine:
-    interlocks = held.config.interlocks
+def _engine(context: DaemonContext, recorder: Recorder, pool: WorkerPool, planner: Callable[[str], Plan]) -> Engine:
+    interlocks = context.config.interlocks
     lab = AcquisitionContext(
-        held.rig,
-        held.table,
+        context.rig,
+        context.table,
         recorder,
-        held.clock,
-        held.data,
-        cameras=camera_overrides(held.config),
+        context.clock,
+        context.data,
+        cameras=camera_overrides(context.config),
         camera_timeout_s=interlocks.camera_timeout_s,
     )
-    measurer = held.measurer(pool, held.journal) if held.measurer is not None else PoolMeasurer(pool)
+    measurer = context.measurer(pool, context.journal) if context.measurer is not None else PoolMeasurer(pool)
     engine = Engine(
         lab,
-        MeasurementQueue(recorder, measurer, held.clock, held.data, depth=2 * pool.workers),
+        MeasurementQueue(recorder, measurer, context.clock, context.data, depth=2 * pool.workers),
         planner,
         InterlockLimits(**interlocks.model_dump(exclude={"accept_no_enable"})),
-        folder_files=_folder_files(held.config),
-        free_bytes=lambda: shutil.disk_usage(held.data).free,
+        folder_files=_folder_files(context.config),
+        free_bytes=lambda: shutil.disk_usage(context.data).free,
         policy=RetryPolicy(
-            accept_changed_rig=held.options.accept_changed_rig,
-            window_s=held.config.trigger.window_s,
+            accept_changed_rig=context.options.accept_changed_rig,
+            window_s=context.config.trigger.window_s,
             accept_no_enable=interlocks.accept_no_enable,
         ),
     )
-    exposures = [camera.exposure_s for camera in held.config.cameras.values() if camera.exposure_s is not None]
+    exposures = [camera.exposure_s for camera in context.config.cameras.values() if camera.exposure_s is not None]
     engine.manual.exposure_s = exposures[0] if exposures else 1.0
     return engine
 
 
-def _plan(held: Held, steps: ExposureSteps, toml: str, *, check_disk: bool = False) -> Plan:
+def _plan(context: DaemonContext, steps: ExposureSteps, toml: str, *, check_disk: bool = False) -> Plan:
     """A campaign's plan for this rig, as its cameras are set now."""
     free = None
     if check_disk:
-        free = max(shutil.disk_usage(held.data).free - held.config.interlocks.min_disk_bytes, 0)
-    return make_plan(load_campaign(toml), plan_rig(held.config, exposure_steps_s=steps, free_bytes=free))
+        free = max(shutil.disk_usage(context.data).free - context.config.interlocks.min_disk_bytes, 0)
+    return make_plan(load_campaign(toml), plan_rig(context.config, exposure_steps_s=steps, free_bytes=free))
 
 
 def _folder_files(config: RigConfig) -> dict[str, str]:
@@ -245,15 +245,15 @@ def _folder_files(config: RigConfig) -> dict[str, str]:
     return files
 
 
-def _describe(held: Held, identities: dict[str, str], events: str) -> dict[str, Any]:
+def _describe(context: DaemonContext, identities: dict[str, str], events: str) -> dict[str, Any]:
     """The answer to `rig`."""
-    config = held.config
+    config = context.config
     return {
         "version": __version__,
         "pid": os.getpid(),
         "config": str(config.source),
-        "service": {"commands": held.commands.address, "events": events, "data": str(held.data)},
-        "campaigns": str(held.data / "campaigns"),
+        "service": {"commands": context.commands.address, "events": events, "data": str(context.data)},
+        "campaigns": str(context.data / "campaigns"),
         "devices": identities,
         "cameras": list(config.cameras),
         "gauges": [gauge.name for gauge in config.gauges],

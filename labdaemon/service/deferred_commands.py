@@ -30,7 +30,7 @@ METHODS = (
 )
 
 
-class Desk:
+class DeferredCommands:
     """Takes commands from the moment the socket is bound, and carries them out once `open` was called.
 
     What can be done before that, because it needs neither cameras nor the journal, is handed over by `offer`.

@@ -10,7 +10,7 @@ import pytest
 from labdaemon.bench.kill_child import QuickMeasurer
 from labdaemon.errors import DataError
 from labdaemon.processing import WorkerPool
-from labdaemon.service.measuring import PoolMeasurer
+from labdaemon.service.pool_measurer import PoolMeasurer
 
 
 @pytest.fixture(scope="module")

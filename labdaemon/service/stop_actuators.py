@@ -27,7 +27,7 @@ LONGEST_STATEMENT = 400
 
 
 @dataclass(frozen=True, slots=True)
-class Stoppers:
+class StopActuators:
     """What of a rig can stop its table.
 
     Attributes
@@ -48,7 +48,7 @@ class Stoppers:
     troubles: tuple[str, ...] = ()
 
 
-def read_stoppers(path: Path, *, exclusive: bool = True) -> Stoppers:
+def read_stop_actuators(path: Path, *, exclusive: bool = True) -> StopActuators:
     """Read what stops the table from a rig file, whatever else is wrong with it.
 
     Parameters
@@ -82,7 +82,7 @@ def read_stoppers(path: Path, *, exclusive: bool = True) -> Stoppers:
     port = sections.get("shaker", {}).get("port")
     is_without = is_whole and "shaker" not in sections
     rig = Rig(built["shaker"], built["trigger"], {})
-    return Stoppers(rig, port if isinstance(port, str) else None, is_without, tuple(troubles))
+    return StopActuators(rig, port if isinstance(port, str) else None, is_without, tuple(troubles))
 
 
 def cut_sections(text: str) -> tuple[dict[str, dict[str, Any]], bool, list[str]]:

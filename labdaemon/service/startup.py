@@ -49,12 +49,12 @@ NOTHING_YET = (
 ExposureSteps = dict[str, tuple[float, ...]]
 
 
-class AskedToEnd(Exception):
+class EndRequest(Exception):
     """Somebody wants the daemon to end while it still waits."""
 
 
 @dataclass(slots=True)
-class Start:
+class StartupSequence:
     """Waits for disk and devices, and answers commands meanwhile.
 
     Attributes
@@ -128,7 +128,7 @@ class Start:
             It is damaged, another daemon's or another program's: a person must decide.
         StorageError
             The folder can have no such name.
-        AskedToEnd
+        EndRequest
             Before that.
         """
 
@@ -147,22 +147,22 @@ class Start:
                 self._has(DATA)
                 return journal
 
-    async def reach_devices(self, rig: Rig, stoppers: Mapping[str, str]) -> tuple[dict[str, str], ExposureSteps]:
+    async def reach_devices(self, rig: Rig, stop_actuators: Mapping[str, str]) -> tuple[dict[str, str], ExposureSteps]:
         """Every device's identity, and the exposure times that each body offers, as soon as all have answered.
 
         Parameters
         ----------
         rig
             All devices.
-        stoppers
+        stop_actuators
             Identities of shaker and trigger, where they have answered already.
 
         Raises
         ------
-        AskedToEnd
+        EndRequest
             Before that.
         """
-        found, steps = dict(stoppers), ExposureSteps()
+        found, steps = dict(stop_actuators), ExposureSteps()
 
         async def reach(name: str, device: DeviceHandle[Any], *, is_kept: bool = False) -> None:
             found[name] = str(await self._reach(name, device, lambda driver: driver.connect(), is_kept))
@@ -176,7 +176,7 @@ class Start:
         waits: list[Coroutine[Any, Any, None]] = [
             reach(name, device, is_kept=True)
             for name, device in (("trigger", rig.trigger), ("shaker", rig.shaker))
-            if device is not None and name not in stoppers
+            if device is not None and name not in stop_actuators
         ]
         waits += [reach(gauge.driver.name, gauge) for gauge in rig.gauges]
         waits += [reach_camera(name, camera) for name, camera in rig.cameras.items()]
@@ -209,7 +209,7 @@ class Start:
             for part in self.parts:
                 if part.done():
                     part.result()
-            raise AskedToEnd
+            raise EndRequest
         finally:
             task.cancel()
 
