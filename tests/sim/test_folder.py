@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rawpy
 
-from labdrivers.sim.folder import make_folder
+from labdrivers.sim.folder import FolderScene, make_folder
 
 
 def rows(file: Path) -> list[dict[str, str]]:
@@ -94,3 +94,14 @@ def test_what_it_cannot_do_it_says_before_writing(tmp_path: Path, wrong: dict[st
     with pytest.raises(ValueError, match=r"must be|do not fit"):
         make_folder(tmp_path / "set", **wrong)  # type: ignore[arg-type]
     assert not (tmp_path / "set").exists()
+
+
+def test_a_scene_and_its_changes_are_one_description(tmp_path: Path) -> None:
+    scene = FolderScene(seed=2, cameras=1, targets=2, tell="nothing")
+    one = make_folder(tmp_path / "a", scene, diameters_mm=[8.0])
+    two = make_folder(tmp_path / "b", seed=2, cameras=1, targets=2, tell="nothing")
+    assert (one / "truth.csv").read_text() == (two / "truth.csv").read_text()
+    with pytest.raises(TypeError, match="no option 'colour'"):
+        make_folder(tmp_path / "c", colour=1)
+    with pytest.raises(ValueError, match="tell must be"):
+        FolderScene(tell="some")

@@ -3,122 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
 from labdrivers.sim.dng import write_dng
+from labdrivers.sim.folder_scene import WHITE_DN, FolderScene
 from labdrivers.sim.lamp import LampPlay, play_code
 from labdrivers.sim.layout import SceneLayout, make_layout
 from labdrivers.sim.lens import CameraModel, FloatArray, SensorShift
 from labdrivers.sim.motions import Harmonic, random_motions
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.render import render_frame
-from labdrivers.sim.scene import Mosaic, Occluder, Scene
+from labdrivers.sim.scene import Mosaic, Occluder, Scene, TargetTruth
 from labdrivers.sim.sensor import Sensor
 
-WHITE_DN = 2900.0
+__all__ = ["WHITE_DN", "FolderScene", "make_folder"]
 
 
-def make_folder(
-    path: Path | str,
-    *,
-    seed: int = 0,
-    cameras: int = 2,
-    size: str = "small",
-    targets: int = 24,
-    diameters_mm: Sequence[float] = (8.0,),
-    amplitude_mm: tuple[float, float] = (0.3, 3.0),
-    orbit: float = 0.0,
-    in_phase: bool = False,
-    captures: int = 1,
-    frequency_hz: float = 5.0,
-    exposure_s: float = 1.0,
-    phase_rad: Sequence[float] | None = None,
-    light: Sequence[Sequence[float]] | None = None,
-    light_phase_rad: float = 0.0,
-    ambient: float = 0.0,
-    lamp_rise_s: float = 0.0,
-    tell: str = "all",
-    rest_offset_mm: float = 0.0,
-    sharp_frames: int = 1,
-    camera_shift_px: float = 0.0,
-    defocus_px: float = 0.0,
-    white_dn: float = WHITE_DN,
-    sharp_white_dn: float = WHITE_DN,
-    occluded: int = 0,
-    paper_mm: float | None = None,
-    texture: float = 0.004,
-    texture_length_mm: float = 0.3,
-    still_paper: bool = False,
-    gradient: tuple[float, float] = (0.08, -0.05),
-    read_noise_e: float = 7.0,
-    gaussian_optics: bool = False,
-    nef: bool = True,
-    pattern: str = "RGGB",
-    survey_sd_mm: float = 0.05,
-    distance_mm: float = 1000.0,
-    approximate_places: bool = False,
-) -> Path:
+def make_folder(path: Path | str, scene: FolderScene | None = None, **changes: Any) -> Path:
     """Render a folder of frames, with `rig.toml`, `control.csv` and `truth.csv`.
 
     Parameters
     ----------
     path
         Folder to write; made if absent.
-    seed
-        Of everything random in it.
-    cameras
-        1 (planar motion), 2 or 3 (motion in space).
-    size
-        ``small`` (1936 x 1296, 12.2 µm pixels) or ``d80`` (3900 x 2613, 6.1 µm).
-    targets, diameters_mm
-        How many dots, and their diameters in turn.
-    amplitude_mm
-        Smallest and largest semi-amplitude; drawn evenly in their logarithm.
-    orbit
-        Ratio of minor to major semi-axis, 0 for straight paths.
-    in_phase
-        All targets of a capture move in or against one phase, as a structure does in one of its modes.
-    captures
-        How many, each with motions of its own.
-    frequency_hz, exposure_s
-        Excitation and shutter; a product that is no whole number leaves a part cycle.
-    phase_rad
-        Opening phases. Every capture then becomes a group of exposures of the same motion, one at each phase.
-    light
-        Codes of the lamp, as brightnesses of equal sectors of one cycle. Every capture then becomes a group of
-        exposures of the same motion, one under each code.
-    light_phase_rad, ambient, lamp_rise_s
-        Excitation phase at which the codes begin, the room's light in parts of the lamp's, and the lamp's rise time.
-    tell
-        What `capture.toml` says: ``all`` (frequency, exposure, phase and group), ``window`` (no phase) or ``nothing``.
-    rest_offset_mm
-        Standard deviation by which the mean position differs from rest.
-    sharp_frames
-        Frames at rest, each with its own noise.
-    camera_shift_px, defocus_px
-        How far each blurred frame is shifted on the sensor against the sharp one (in a random direction), and how
-        much it is out of focus (diameter of the blur circle).
-    white_dn, sharp_white_dn
-        What white paper reads in the middle of blurred and of sharp frames; above 4095 it is clipped.
-    occluded
-        How many targets of each blurred frame have a cable hanging before them.
-    paper_mm
-        Side of the labels; by default so large that their own smeared edges stay clear of the dots' smears.
-    texture, texture_length_mm, still_paper, gradient
-        Relative sd of the paper texture; labels that do not move with their dots; slope of the light (see `Scene`).
-    read_noise_e
-        Of the sensor, electrons.
-    gaussian_optics, nef, pattern
-        Gaussian lens blur in place of diffraction; the D80's compression; colour mosaic.
-    survey_sd_mm
-        Error of the surveyed control points, as stated in their file.
-    distance_mm
-        From cameras to targets.
-    approximate_places
-        Write `targets.csv` as well.
+    scene
+        What it shows; the plain scene if None.
+    **changes
+        Fields of the scene to change, as keywords.
 
     Returns
     -------
@@ -128,105 +43,180 @@ def make_folder(
     Raises
     ------
     ValueError
-        If an option is not offered or the labels do not fit.
+        An option is not offered or the labels do not fit.
+    TypeError
+        There is no such option.
     """
-    if tell not in ("all", "window", "nothing"):
-        raise ValueError(f"tell must be 'all', 'window' or 'nothing', not {tell!r}")
-    folder = Path(path)
-    sizes = tuple(float(d) for d in diameters_mm)
-    # The label's edge comes as near as half a side less the amplitude to where the dot goes.
-    edges = 2.0 if still_paper else 4.0
-    side = max(sizes) + edges * amplitude_mm[1] + 10.0 + (6.0 * rest_offset_mm if still_paper else 0.0)
-    if paper_mm is not None:
-        side = paper_mm
-    layout = make_layout(
-        seed=seed,
-        cameras=cameras,
-        size=size,
-        targets=targets,
-        diameters_mm=sizes,
-        paper_mm=side,
-        texture=texture,
-        texture_length_mm=texture_length_mm,
-        still_paper=still_paper,
-        gradient=gradient,
-        distance_mm=distance_mm,
-    )
-    rng = np.random.default_rng([seed, 51])
-    # The pinhole is the same; binned pixels are twice as large.
-    optics = Optics(
-        "gaussian" if gaussian_optics else "airy", pitch_um=layout.pitch_um, sigma_px=0.8 * 6.1 / layout.pitch_um
-    )
-    body = Sensor(pattern, read_noise_e=read_noise_e, nef=nef)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "rig.toml").write_text(_rig_toml(layout, sizes))
-    (folder / "control.csv").write_text(_control_csv(layout, survey_sd_mm, rng))
-    if approximate_places:
-        (folder / "targets.csv").write_text(_targets_csv(layout.scene, rng))
-    for number, (name, camera) in enumerate(layout.cameras.items()):
-        sensor = replace(body, serial=6000001 + number)
-        for k in range(sharp_frames):
-            seed_k = seed * 1009 + number * 101 + k
-            sharp = render_frame(
-                layout.scene, camera, optics=optics, sensor=sensor, seed=seed_k, white_dn=sharp_white_dn
-            )
-            suffix = f"-{k + 1}" if k else ""
-            _write(folder / "sharp" / f"{name}{suffix}.dng", sharp.mosaic, sensor, 1.0)
+    values = {} if scene is None else {field.name: getattr(scene, field.name) for field in fields(scene)}
+    writer = _FolderWriter.open(Path(path), FolderScene.of(**(values | changes)))
+    writer.write_sharp()
     rows = ["capture,target,x_mm,y_mm,z_mm,ax,ay,az,bx,by,bz,diameter_mm"]
-    for index in range(captures):
-        motions = random_motions(
-            layout.scene, rng, amplitude_mm, orbit, frequency_hz, rest_offset_mm, cameras == 1, in_phase
+    for index in range(writer.scene.captures):
+        rows += writer.write_capture(index)
+    (writer.folder / "truth.csv").write_text("\n".join(rows) + "\n")
+    return writer.folder
+
+
+@dataclass(frozen=True, slots=True)
+class _Shot:
+    """One exposure of a capture."""
+
+    name: str
+    opening_rad: float
+    code: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FolderWriter:
+    """A folder under construction."""
+
+    folder: Path
+    scene: FolderScene
+    layout: Layout
+    rng: np.random.Generator
+    optics: Optics
+    body: Sensor
+
+    @classmethod
+    def open(cls, folder: Path, scene: FolderScene) -> _FolderWriter:
+        """Lay the scene out and write everything but frames."""
+        sizes = tuple(float(size) for size in scene.diameters_mm)
+        layout = make_layout(
+            seed=scene.seed,
+            cameras=scene.cameras,
+            size=scene.size,
+            targets=scene.targets,
+            diameters_mm=sizes,
+            paper_mm=scene.label_side_mm,
+            texture=scene.texture,
+            texture_length_mm=scene.texture_length_mm,
+            still_paper=scene.still_paper,
+            gradient=scene.gradient,
+            distance_mm=scene.distance_mm,
         )
-        label = f"c{index + 1}"
-        shots: list[tuple[str, float, Sequence[float] | None]] = [(label, 0.0, None)]
-        if phase_rad is not None:
-            shots = [(f"{label}-{k + 1}", phase, None) for k, phase in enumerate(phase_rad)]
-        if light is not None:
-            # The shutter opens when it likes: its phase plays no part under coded light.
-            opening_phases = rng.uniform(0.0, 2.0 * np.pi, len(light))
-            shots = [(f"{label}-{k + 1}", float(opening_phases[k]), code) for k, code in enumerate(light)]
-        for shot, (capture, opening, code) in enumerate(shots):
-            opened_s = opening / (2.0 * np.pi * frequency_hz)
-            lamp = None
-            if code is not None:
-                lamp = _lamp(
-                    code, (opened_s, exposure_s), frequency_hz, light_phase_rad, ambient=ambient, rise_s=lamp_rise_s
-                )
-            truth_rows: list[str] = []
-            for number, (name, camera) in enumerate(layout.cameras.items()):
-                sensor = replace(body, serial=6000001 + number)
+        rng = np.random.default_rng([scene.seed, 51])
+        # The pinhole is the same; binned pixels are twice as large.
+        lens: Literal["gaussian", "airy"] = "gaussian" if scene.gaussian_optics else "airy"
+        optics = Optics(lens, pitch_um=layout.pitch_um, sigma_px=0.8 * 6.1 / layout.pitch_um)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "rig.toml").write_text(_rig_toml(layout, sizes))
+        (folder / "control.csv").write_text(_control_csv(layout, scene.survey_sd_mm, rng))
+        if scene.approximate_places:
+            (folder / "targets.csv").write_text(_targets_csv(layout.scene, rng))
+        body = Sensor(scene.pattern, read_noise_e=scene.read_noise_e, nef=scene.nef)
+        return cls(folder, scene, layout, rng, optics, body)
+
+    def sensor(self, number: int) -> Sensor:
+        """The sensor of a camera, by its number."""
+        return replace(self.body, serial=6000001 + number)
+
+    def write_sharp(self) -> None:
+        """Write the frames at rest."""
+        scene = self.scene
+        for number, (name, camera) in enumerate(self.layout.cameras.items()):
+            for k in range(scene.sharp_frames):
                 frame = render_frame(
-                    layout.scene,
+                    self.layout.scene,
                     camera,
-                    motions=motions,
-                    opened_s=opened_s,
-                    brightness=None if lamp is None else lamp[0],
-                    exposure_s=exposure_s,
-                    frequency_hz=frequency_hz,
-                    phase_rad=opening,
-                    white_dn=white_dn,
-                    shift=_shift(rng, camera_shift_px),
-                    optics=replace(optics, defocus_px=defocus_px),
-                    sensor=sensor,
-                    occluders=_cables(layout.scene, camera, rng, occluded),
-                    seed=seed * 1009 + 500 + ((index * 17 + shot) * 7 + number),
+                    optics=self.optics,
+                    sensor=self.sensor(number),
+                    seed=scene.seed * 1009 + number * 101 + k,
+                    white_dn=scene.sharp_white_dn,
                 )
-                _write(folder / "captures" / capture / f"{name}.dng", frame.mosaic, sensor, exposure_s)
-                truth_rows = [
-                    _truth_row(label, target.name, motions[target.name], truth.mean_mm, target.diameter_mm)
-                    for target, truth in zip(layout.scene.targets, frame.truth.values(), strict=True)
+                suffix = f"-{k + 1}" if k else ""
+                _write(self.folder / "sharp" / f"{name}{suffix}.dng", frame.mosaic, self.sensor(number), 1.0)
+
+    def write_capture(self, index: int) -> list[str]:
+        """Write one capture, or the group of its exposures; return its rows of `truth.csv`."""
+        scene, label = self.scene, f"c{index + 1}"
+        motions = random_motions(
+            self.layout.scene,
+            self.rng,
+            scene.amplitude_mm,
+            scene.orbit,
+            scene.frequency_hz,
+            scene.rest_offset_mm,
+            scene.cameras == 1,
+            scene.in_phase,
+        )
+        rows: list[str] = []
+        for shot_number, shot in enumerate(self._shots(label)):
+            truth = self._write_shot(shot, motions, index * 17 + shot_number)
+            if shot_number == 0:
+                rows = [
+                    _truth_row(label, target.name, motions[target.name], one.mean_mm, target.diameter_mm)
+                    for target, one in zip(self.layout.scene.targets, truth.values(), strict=True)
                 ]
-            if tell != "nothing":
-                text = _capture_toml(frequency_hz, exposure_s, opening if tell == "all" and code is None else None)
-                if code is not None and lamp is not None:
-                    text += _light_toml(code, light_phase_rad, lamp[1], ambient, lamp_rise_s)
-                if len(shots) > 1:
-                    text += f'group = "{label}"\n'
-                (folder / "captures" / capture / "capture.toml").write_text(text)
-            if shot == 0:
-                rows += truth_rows
-    (folder / "truth.csv").write_text("\n".join(rows) + "\n")
-    return folder
+            self._describe(shot, label)
+        return rows
+
+    def _shots(self, label: str) -> list[_Shot]:
+        scene = self.scene
+        if scene.light is not None:
+            # The shutter opens when it likes: its phase plays no part under coded light.
+            openings = self.rng.uniform(0.0, 2.0 * np.pi, len(scene.light))
+            return [_Shot(f"{label}-{k + 1}", float(openings[k]), code) for k, code in enumerate(scene.light)]
+        if scene.phase_rad is not None:
+            return [_Shot(f"{label}-{k + 1}", phase) for k, phase in enumerate(scene.phase_rad)]
+        return [_Shot(label, 0.0)]
+
+    def _write_shot(self, shot: _Shot, motions: dict[str, Harmonic], number_in_folder: int) -> dict[str, TargetTruth]:
+        """Write the frames of one exposure; return the truth of the last camera's."""
+        scene, truth = self.scene, dict[str, TargetTruth]()
+        opened_s = self._opened_s(shot)
+        lamp = self._lamp(shot)
+        for number, (name, camera) in enumerate(self.layout.cameras.items()):
+            frame = render_frame(
+                self.layout.scene,
+                camera,
+                motions=motions,
+                opened_s=opened_s,
+                brightness=None if lamp is None else lamp[0],
+                exposure_s=scene.exposure_s,
+                frequency_hz=scene.frequency_hz,
+                phase_rad=shot.opening_rad,
+                white_dn=scene.white_dn,
+                shift=_shift(self.rng, scene.camera_shift_px),
+                optics=replace(self.optics, defocus_px=scene.defocus_px),
+                sensor=self.sensor(number),
+                occluders=_cables(self.layout.scene, camera, self.rng, scene.occluded),
+                seed=scene.seed * 1009 + 500 + number_in_folder * 7 + number,
+            )
+            file = self.folder / "captures" / shot.name / f"{name}.dng"
+            _write(file, frame.mosaic, self.sensor(number), scene.exposure_s)
+            truth = frame.truth
+        return truth
+
+    def _opened_s(self, shot: _Shot) -> float:
+        return shot.opening_rad / (2.0 * np.pi * self.scene.frequency_hz)
+
+    def _lamp(self, shot: _Shot) -> tuple[LampPlay, int] | None:
+        scene = self.scene
+        if shot.code is None:
+            return None
+        window_s = (self._opened_s(shot), scene.exposure_s)
+        return _lamp(
+            shot.code,
+            window_s,
+            scene.frequency_hz,
+            scene.light_phase_rad,
+            ambient=scene.ambient,
+            rise_s=scene.lamp_rise_s,
+        )
+
+    def _describe(self, shot: _Shot, label: str) -> None:
+        """Write `capture.toml`, as much as the scene says."""
+        scene = self.scene
+        if scene.tell == "nothing":
+            return
+        phase_rad = shot.opening_rad if scene.tell == "all" and shot.code is None else None
+        text = _capture_toml(scene.frequency_hz, scene.exposure_s, phase_rad)
+        lamp = self._lamp(shot)
+        if shot.code is not None and lamp is not None:
+            text += _light_toml(shot.code, scene.light_phase_rad, lamp[1], scene.ambient, scene.lamp_rise_s)
+        if shot.name != label:
+            text += f'group = "{label}"\n'
+        (self.folder / "captures" / shot.name / "capture.toml").write_text(text)
 
 
 def _lamp(
