@@ -1,4 +1,4 @@
-"""Walks campaigns unattended: one at a time, step by step, through faults, pauses, interlocks and restarts."""
+"""Runs campaigns unattended: one at a time, step by step, through faults, pauses, interlocks and restarts."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import asyncio
 import logging
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
+from labdaemon.campaign.campaign_runner import CHANGED_RIG, CampaignRunner
 from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.interlock_monitor import InterlockMonitor
 from labdaemon.campaign.interlocks import InterlockLimits, check_envelope
-from labdaemon.campaign.lookup import has_ended, named_campaign, outline, state_of
+from labdaemon.campaign.lookup import named_campaign, outline, state_of
 from labdaemon.campaign.manual import ManualCaptures
 from labdaemon.campaign.manual_measurements import ManualMeasurements
 from labdaemon.campaign.manual_request import ManualRequest
@@ -25,22 +25,17 @@ from labdaemon.campaign.run_control import RunControl
 from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.table_stop import RestConfirmation
-from labdaemon.errors import ConfigError, InterlockError, LabdaemonError, StorageError, StorageUnavailable
+from labdaemon.errors import InterlockError, LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.journal import records, transitions
-from labdaemon.journal.records import CampaignRecord, CampaignState, CaptureRecord
-from labdaemon.journal.storage import JournalError
+from labdaemon.journal.records import CampaignRecord, CaptureRecord
 from labdaemon.orbit_size import LargestMotion, largest_motion
 from labdaemon.stream.messages import Busy, CommandError, WrongState
 
 log = logging.getLogger(__name__)
 
-CHANGED_RIG = (
-    "the rig file has changed since this campaign was planned; put it back, or resume with --accept-changed-rig"
-)
-
 
 class Engine:
-    """Walks campaigns, and does what commands ask.
+    """Runs campaigns, and does what commands ask.
 
     Parameters
     ----------
@@ -61,8 +56,8 @@ class Engine:
 
     Attributes
     ----------
-    current, plan, step
-        What is under way; None while idle.
+    runner
+        Runs the campaign that is in progress.
     largest
         Largest motion of the latest envelope.
     """
@@ -80,7 +75,7 @@ class Engine:
     ) -> None:
         self.context, self.queue, self.limits = context, queue, limits
         self.policy = policy = policy or RetryPolicy()
-        self._planner, self._journal = planner, context.recorder.journal
+        self._journal = context.recorder.journal
         self.control = RunControl()
         self.disk = DataDisk(context.recorder, free_bytes, limits.min_disk_bytes)
         self.reporter = CampaignReporter(context.recorder, context.clock, self.disk)
@@ -98,16 +93,39 @@ class Engine:
         self.enable_line = self.step_runner.enable_line
         manual = ManualMeasurements(context, queue, self.reporter, folder_files)
         self.manual = ManualCaptures(context, manual, self.reporter, policy.window_s, self._recover_soon)
-        self._outside = OutsideListener(context, self.manual, self.step_runner, self.reporter, policy)
+        self._listener = OutsideListener(context, self.manual, self.step_runner, self.reporter, policy)
+        self.runner = CampaignRunner(
+            context,
+            queue,
+            planner,
+            self.control,
+            self.reporter,
+            self.files,
+            self.step_runner,
+            self._listener,
+            policy.accept_changed_rig,
+        )
         queue.published, queue.with_disk_retry = self._on_published, self.reporter.with_disk_retry
         self._stops: set[asyncio.Task[None]] = set()
-        self.current: CampaignRecord | None = None
-        self.plan: Plan | None = None
-        self.step: Step | None = None
         self.largest: LargestMotion | None = None
 
+    @property
+    def current(self) -> CampaignRecord | None:
+        """The campaign in progress; None while idle."""
+        return self.runner.current
+
+    @property
+    def plan(self) -> Plan | None:
+        """The plan of the campaign in progress."""
+        return self.runner.plan
+
+    @property
+    def step(self) -> Step | None:
+        """The step in progress, or the one that ended last."""
+        return self.runner.step
+
     async def run(self) -> None:
-        """Walk campaigns until cancelled. The table must be at rest."""
+        """Run campaigns until cancelled. The table must be at rest."""
         monitor = asyncio.create_task(self.monitor.run())
         try:
             self._start(self.queue.mend())
@@ -115,7 +133,7 @@ class Engine:
                 try:
                     await self._do_next(monitor)
                 except StorageUnavailable as exc:  # a read or write that nothing nearer has waited with
-                    await self._rest()
+                    await self.runner.rest()
                     await self.reporter.wait_for_disk(exc)
         finally:
             monitor.cancel()
@@ -126,7 +144,8 @@ class Engine:
         self.control.changed.clear()
         record = self._next()
         if record is not None:
-            await self._take_up(record, monitor)
+            self.largest = None
+            await self.runner.run(record, monitor)
             return
         if self.step_runner.needs_recovery:
             await self.step_runner.recover(None, None)
@@ -149,7 +168,7 @@ class Engine:
     def report(self, error: LabdaemonError, action: str) -> None:
         """A fault outside any step, as of a wire that was lost: it is written as soon as it can be."""
         log.error("%s", error)
-        self._start(self._fault(error, action))
+        self._start(self.runner.fault(error, action))
 
     async def submit(self, plan: Plan, request_id: str | None = None) -> str:
         """Queue a checked campaign; its id, once it is in the journal.
@@ -175,12 +194,12 @@ class Engine:
         """
         record = named_campaign(self._journal, campaign, self.current, "running")
         self.control.request("pause", reason)
-        if not await self._move(record, "paused", reason):
+        if not await self.runner.move(record, "paused", reason):
             raise WrongState(f"campaign {record.id} has just ended")
         return record.id
 
     async def resume(self, campaign: str | None = None, *, accept_changed_rig: bool = False) -> str:
-        """Go on with a paused campaign; its id.
+        """Continue a paused campaign; its id.
 
         Raises
         ------
@@ -188,12 +207,12 @@ class Engine:
             There is no such campaign, it is not paused, or it was planned for another rig.
         """
         record = named_campaign(self._journal, campaign, self.current, "paused")
-        plan = await self.context.recorder.in_background(self._planner, record.toml)
+        plan = await self.context.recorder.in_background(self.runner.planner, record.toml)
         if plan.digest != record.digest:
             if not accept_changed_rig:
                 raise WrongState(f"{record.id}: {CHANGED_RIG}")
             await self.files.accept(record, plan.digest)
-        if not await self._move(record, "running", **outline(plan)):
+        if not await self.runner.move(record, "running", **outline(plan)):
             raise WrongState(f"campaign {record.id} has just ended")
         self.control.clear()
         return record.id
@@ -208,7 +227,7 @@ class Engine:
         """
         record = named_campaign(self._journal, campaign, self.current, "running", "paused", "queued")
         if self.current is None or record.id != self.current.id:
-            await self._move(record, "aborted", reason)
+            await self.runner.move(record, "aborted", reason)
         else:
             self.control.request("abort", reason)
         return record.id
@@ -259,7 +278,7 @@ class Engine:
                 await asyncio.wait({self._start(self._pause_stopped(record, reason))}, timeout=RECORD_S)
 
     async def _pause_stopped(self, record: CampaignRecord, reason: str) -> None:
-        await self._move(record, "paused", reason)
+        await self.runner.move(record, "paused", reason)
         self.control.request("pause", reason, at_once=True)
 
     def _next(self) -> CampaignRecord | None:
@@ -271,108 +290,17 @@ class Engine:
     async def _idle(self, monitor: asyncio.Task[None]) -> None:
         """Wait for a campaign; where others fire, keep what others fire meanwhile."""
         self.step_runner.doing = "idle"
-        await self._outside.during(self.control.wait(monitor), None)
+        await self._listener.during(self.control.wait(monitor), None)
 
     def _recover_soon(self) -> None:
         self.step_runner.needs_recovery = True
         self.control.changed.set()
 
-    async def _take_up(self, record: CampaignRecord, monitor: asyncio.Task[None]) -> None:
-        """Begin a campaign, or go on with it, until it ends."""
-        self.current, self.largest = record, None
-        if record.state == "paused" or self.control.requested == "go":
-            self.control.clear("pause" if record.state == "paused" else "go")
-        try:
-            self.plan = plan = await self.context.recorder.in_background(self._planner, record.toml)
-            if plan.digest != record.digest and record.state != "paused":
-                if self.policy.accept_changed_rig:
-                    await self.files.accept(record, plan.digest)
-                else:
-                    await self._move(record, "paused", CHANGED_RIG)
-                    self.control.clear("pause")
-            await self.files.open(record, plan)
-            if state_of(self._journal, record.id) == "queued":
-                await self._move(record, "running", **outline(plan))
-            await self._run_steps(record, plan, monitor)
-            self.control.clear()
-        except (JournalError, StorageUnavailable):
-            raise  # of the whole daemon: what a person wants of the campaign holds when it is taken up again
-        except (ConfigError, StorageError) as exc:
-            await self._move(record, "failed", str(exc))
-            self.control.clear()
-        finally:
-            self.current = self.plan = self.step = None
-
-    async def _run_steps(self, record: CampaignRecord, plan: Plan, monitor: asyncio.Task[None]) -> None:
-        known = records.steps(self._journal, record.id)
-        ended = {index for index, kept in known.items() if kept.state != "running"}
-        while True:
-            step = next((step for step in plan.steps if step.index not in ended), None)
-            match self.control.requested:
-                case "abort":
-                    await self._rest()
-                    await self.queue.drain()
-                    await self.files.close(record)
-                    await self._move(record, "aborted", self.control.reason)
-                    return
-                case "pause":
-                    await self._pause(record, monitor)
-                case "go" if step is None:
-                    if await self._finish(record, plan):
-                        return
-                case "go" if step is not None:
-                    self.step = step
-                    await self.step_runner.do(record.id, step, monitor)
-                    if has_ended(self._journal, record.id, step.index):
-                        ended.add(step.index)
-                        if step.kind == "pause" and not step.hold_s:
-                            self.control.request("pause", f"{step.label} waits for a person")
-
-    async def _pause(self, record: CampaignRecord, monitor: asyncio.Task[None]) -> None:
-        await self._rest()
-        if self.control.requested == "pause" and state_of(self._journal, record.id) == "running":
-            # It was not resumed meanwhile.
-            await self._move(record, "paused", self.control.reason)
-        self.step_runner.doing, self.step_runner.began_s = "paused", None
-        while self.control.requested == "pause":
-            await self._outside.during(self.control.wait(monitor), record.id)
-        if self.control.requested == "go":
-            await self.files.renew(record)
-
-    async def _finish(self, record: CampaignRecord, plan: Plan) -> bool:
-        """All steps have ended: wait for the last envelopes; False when somebody wants something else meanwhile."""
-        await self._rest()
-        try:
-            await self.step_runner.recover(record.id, None)
-        except LabdaemonError as exc:
-            await self._fault(exc, "pause")
-            self.control.request("pause", str(exc))
-            return False
-        self.step_runner.doing = "measuring"
-        await self.queue.catch_up(record.id)
-        await self.queue.drain()
-        self.control.tripped = None  # by a last envelope, when the table rested already
-        refused = await self.files.close(record)
-        if refused is not None:
-            await self._fault(refused, "pause")
-            self.control.request("pause" if self.control.requested == "go" else self.control.requested, str(refused))
-        if self.control.requested != "go":
-            return False
-        taken = sum(records.captures_by_step(self._journal, record.id).values())
-        return await self._move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
-
-    async def _rest(self) -> None:
-        """Table to rest; if nothing confirms, that is told, and nothing moves until a person has resumed."""
-        try:
-            await self.step_runner.abort_to_rest()
-        except InterlockError as exc:
-            await self._fault(exc, "use the emergency stop")
-
     async def _stop_table(self) -> None:
         try:
             await self.step_runner.stop_table()
         except InterlockError as exc:
-            await self._fault(exc, "use the emergency stop")
+            await self.runner.fault(exc, "use the emergency stop")
 
     def _on_published(self, campaign: str, name: str, rows: Rows) -> None:
         """An envelope is out: keep its largest motion for status, and judge it."""
@@ -386,14 +314,4 @@ class Engine:
             return
         if self.current is not None and self.control.requested == "go":
             self.control.request("pause", str(error))  # nor does a next campaign move it before a person has looked
-        self._start(self._fault(error, "pause"))
-
-    async def _fault(self, exc: LabdaemonError, action: str) -> None:
-        campaign = self.current.id if self.current is not None else None
-        await self.reporter.fault(exc, campaign=campaign, step=self.step, action=action)
-
-    async def _move(self, record: CampaignRecord, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
-        moved = await self.reporter.move(record.id, state, reason, **data)
-        if moved and self.current is not None and self.current.id == record.id:
-            self.current = replace(self.current, state=state, reason=reason)
-        return moved
+        self._start(self.runner.fault(error, "pause"))
