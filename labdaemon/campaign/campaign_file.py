@@ -220,7 +220,7 @@ class CampaignSection(Section):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}$")]
     notes: Annotated[str, Field(max_length=10_000)] = ""
     repeats: Repeats = 1
-    """How often the whole list of phases is walked."""
+    """How often the whole list of phases runs."""
     phase: Annotated[tuple[AnyPhase, ...], Field(min_length=1, max_length=1000)]
 
 
@@ -269,7 +269,7 @@ def load_campaign(source: str | Path) -> Campaign:
 
 
 def frequencies(given: float | tuple[float, ...] | Spacing) -> tuple[float, ...]:
-    """The frequencies of a phase in the order they are walked up, hertz."""
+    """The frequencies of a phase in the order in which they run upwards, hertz."""
     if isinstance(given, Spacing):
         return given.values()
     return given if isinstance(given, tuple) else (given,)

@@ -49,9 +49,9 @@ class InterlockMonitor:
     oldest_s
         How long the oldest capture has waited to be measured.
     no_capture_in_flight
-        Waits until no capture is under way: cameras are asked nothing while they expose or deliver.
+        Waits until no capture is in flight: cameras are asked nothing while they expose or deliver.
     iterations
-        Rounds that all loops have made: what a watchdog looks at.
+        Rounds that the heartbeat loop has made: what a watchdog looks at.
     """
 
     context: AcquisitionContext

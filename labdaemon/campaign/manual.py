@@ -57,7 +57,7 @@ class ManualObserver:
     request
         What was stated of it.
     fired
-        Gets the opening; None where nobody waits for it.
+        Gets the opening; None where no request waits for it.
     """
 
     captures: ManualCaptures

@@ -91,7 +91,7 @@ class MeasurementQueue:
     measurer
         Does the work.
     depth
-        Captures (or groups) in hand at a time.
+        Captures (or groups) that are queued or measured at a time.
     """
 
     def __init__(
@@ -124,17 +124,17 @@ class MeasurementQueue:
 
     @property
     def waiting(self) -> int:
-        """Captures or groups in hand."""
+        """Captures or groups that are queued or measured."""
         return len(self._tasks)
 
     def oldest_s(self) -> float:
-        """How long the oldest of them has been in hand."""
+        """How long the oldest of them has waited, seconds."""
         return max((self._clock.monotonic() - since for since in self._since.values()), default=0.0)
 
     async def add(self, capture: CaptureRecord) -> None:
         """Measure a stored capture, or its group once all members are stored; waits while the queue is full.
 
-        Raises what broke an earlier measurement in a way that nobody has foreseen.
+        Raises what broke an earlier measurement in a way that is not foreseen.
 
         Raises
         ------
@@ -171,7 +171,7 @@ class MeasurementQueue:
     async def resume(self, campaign: str, group_sizes: Mapping[str, int]) -> None:
         """Take a campaign up: write its result files anew from the journal.
 
-        `group_sizes` tells how many captures each group has.
+        `group_sizes` says how many captures each group has.
         """
         self._group_sizes[campaign] = group_sizes
         # A worker starts while the first frames are taken: the campaign waits for the look at them.
@@ -216,19 +216,19 @@ class MeasurementQueue:
                 log.warning("results of %s cannot be mended: %s", record.id, exc)
 
     async def catch_up(self, campaign: str) -> None:
-        """Measure whatever is stored and not in hand: a crash or a wish may have come between."""
+        """Measure what is stored and not queued: a crash or a request may have come between."""
         for capture in records.captures(self._recorder.journal, campaign, "stored"):
             await self.add(capture)
 
     async def drain(self) -> None:
-        """Wait until nothing is in hand."""
+        """Wait until the queue is empty."""
         while self._tasks:
             await asyncio.wait(list(self._tasks.values()))
             await asyncio.sleep(0)
         self._raise_if_broken()
 
     async def cancel(self) -> None:
-        """Give up what is in hand; the journal still has it as stored."""
+        """Give up what is queued; the journal still has it as stored."""
         tasks = [*self._tasks.values(), *([self._start] if self._start is not None else [])]
         for task in tasks:
             task.cancel()
@@ -313,9 +313,15 @@ class MeasurementQueue:
         is_known = is_manual and (campaign, str(exc)) in self._reported
         if is_manual:
             self._reported.add((campaign, str(exc)))
-        told = {"device": "worker", "capture": name, "error": type(exc).__name__, "message": str(exc), "action": "kept"}
+        payload = {
+            "device": "worker",
+            "capture": name,
+            "error": type(exc).__name__,
+            "message": str(exc),
+            "action": "kept",
+        }
         await self.with_disk_retry(
-            lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, told, is_known=is_known)
+            lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, payload, is_known=is_known)
         )
         self.finished += 1
 

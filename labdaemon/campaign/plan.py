@@ -50,7 +50,7 @@ class PlanRig:
     can_fire
         False when an outside system fires the shutters.
     set_s, shot_s
-        Time to set the shaker, and to fire and fetch the files besides the exposure itself.
+        Time to set the shaker, and to fire and to fetch the files, without the exposure itself.
     digest
         Of the parts of the rig file that results depend on.
     """
@@ -79,7 +79,7 @@ def make_plan(campaign: Campaign, rig: PlanRig) -> Plan:
     Returns
     -------
     Plan
-        Steps in the order they are walked. Sharp sets that a schedule retakes are among them, and one before the
+        Steps in the order in which they run. Sharp sets that a schedule retakes are among them, and one before the
         first capture of a campaign that asks for none.
 
     Raises
@@ -145,7 +145,7 @@ class _Planner:
         return None
 
     def phase(self, place: int, phase: AnyPhase) -> Iterator[_Draft]:
-        """Steps of one walk through one phase."""
+        """Steps of one pass through one phase."""
         if isinstance(phase, SharpPhase):
             shot = self.shot(place, phase.exposure_s, None)
             yield _Draft(
@@ -183,8 +183,8 @@ class _Planner:
                 raise self.limit(at + amplitude_key, crossed)
             if refused := self.rig.refusal(frequency_hz, amplitude_mm):
                 raise self.limit(at + amplitude_key, refused)
-        walked = settings + settings[-2::-1] if phase.both_directions else settings
-        for frequency_hz, amplitude_mm, _, _ in walked:
+        sequence = settings + settings[-2::-1] if phase.both_directions else settings
+        for frequency_hz, amplitude_mm, _, _ in sequence:
             yield from self.setting(place, phase, frequency_hz, amplitude_mm)
 
     def setting(

@@ -1,7 +1,8 @@
-"""One step through all its attempts: faults, and what `on_fault` makes of them.
+"""One step through all its attempts: faults, and what `on_fault` decides.
 
-There is one way out of every interruption, a fault, a wish, an interlock or kill -9 alike: the table to rest, then
-`labdaemon.capture.recover` settles what was in flight, then the step is walked again from what the journal says.
+There is one way out of every interruption, be it a fault, a request, an interlock or kill -9: the table to rest, then
+`labdaemon.capture.recover` completes or gives up what was in flight, then the step runs again from what the journal
+says.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ MAX_BACKOFF_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class RetryPolicy:
-    """How patient the engine is.
+    """How often and how long the engine tries.
 
     Attributes
     ----------
@@ -38,11 +39,11 @@ class RetryPolicy:
     backoff_s
         Wait before the second attempt; doubled for each further one, up to a minute.
     accept_changed_rig
-        Go on with campaigns that were planned for another rig file.
+        Continue campaigns that were planned for another rig file.
     window_s
         Frames of one outside release arrive from all cameras within this time.
     intervals
-        How often the guard looks.
+        How often the interlock monitor looks.
     accept_no_enable
         Move the table although no enable line was seen to stop it.
     """
@@ -92,14 +93,14 @@ class CampaignObserver:
 
 
 class RetryingStepRunner:
-    """Walks steps, again where need be.
+    """Runs steps, again where need be.
 
     Parameters
     ----------
     context
         The rig and the journal.
     control
-        Where wishes and interlocks arrive.
+        Where requests and interlocks arrive.
     """
 
     def __init__(
@@ -114,14 +115,14 @@ class RetryingStepRunner:
         self._reporter, self._policy = reporter, policy
         self.enable_line = EnableLine(context, reporter, policy.accept_no_enable)
         self.needs_recovery = True
-        """Something may be in flight that nobody looks after: at the start, and after every interruption."""
+        """A capture may be in flight that no runner follows: at the start, and after every interruption."""
         self.doing = "starting"
         """In a word or two, for status."""
         self.began_s: float | None = None
-        """Monotonic time at which the present attempt at a step began; None while no step is walked."""
+        """Monotonic time at which the present attempt at a step began; None while no step runs."""
 
     async def do(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
-        """A step to its end, or until somebody wants something else (see `RunControl.requested`)."""
+        """A step to its end, or until a person asks for something else (see `RunControl.requested`)."""
         failures = 0
         while self._control.requested == "go":
             try:
@@ -185,7 +186,7 @@ class RetryingStepRunner:
         await self.stop_table()
 
     async def stop_table(self) -> RestConfirmation:
-        """Table to rest; a way to rest that did not confirm is told as a fault, though another one did."""
+        """Table to rest; a stop that did not confirm is reported as a fault, although another one did."""
         rest = await self._context.table.stop()
         if rest.troubles:
             exc = DeviceError(f"brought to rest by {rest.by} stop only: {'; '.join(rest.troubles)}")
@@ -196,14 +197,14 @@ class RetryingStepRunner:
         await self._wait_for_window(step, monitor)
         self.doing, self.began_s = step.kind, self._context.clock.monotonic()
         write = self._context.recorder.write
-        told = {"label": step.label, "kind": step.kind}
+        payload = {"label": step.label, "kind": step.kind}
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
-        await write(transitions.start_step, campaign, step.index, {**told, **excitation})
+        await write(transitions.start_step, campaign, step.index, {**payload, **excitation})
         control = self._control
         observer = CampaignObserver(control, self._queue)
         runner = StepRunner(self._context, campaign, observer, window_s=self._policy.window_s)
         await control.run_step(self._catch_up_and_run(runner, step), monitor)
-        await write(transitions.end_step, campaign, step.index, told)
+        await write(transitions.end_step, campaign, step.index, payload)
 
     async def _catch_up_and_run(self, runner: StepRunner, step: Step) -> None:
         await self._queue.catch_up(runner.campaign)
@@ -230,9 +231,9 @@ class RetryingStepRunner:
                 await self._context.clock.sleep(self._policy.pause_s(failures))
                 return True
             case "skip":
-                told = {"label": step.label, "kind": step.kind}
+                payload = {"label": step.label, "kind": step.kind}
                 await self._reporter.with_disk_retry(
-                    lambda: self._context.recorder.write(transitions.end_step, campaign, step.index, told, str(exc))
+                    lambda: self._context.recorder.write(transitions.end_step, campaign, step.index, payload, str(exc))
                 )
             case _ if self._control.requested == "go":
                 self._control.request(action, str(exc))

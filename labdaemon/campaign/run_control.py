@@ -1,6 +1,6 @@
-"""What somebody wants of the campaign under way, and how the step that is being walked gets to notice.
+"""What persons and interlocks ask of the campaign in progress, and how the running step learns of it.
 
-A step is walked as a task of its own. A wish (pause, abort) cancels it at once, unless shutters are open: then that
+A step runs as a task of its own. A request (pause, abort) cancels it at once, unless shutters are open: then that
 capture is seen to its end first. An interlock and a stop cancel it whatever it is doing.
 """
 
@@ -16,18 +16,18 @@ RequestedState = Literal["go", "pause", "abort"]
 
 
 class StepInterruption(Exception):
-    """The step was left because somebody wanted the campaign paused or aborted."""
+    """The step was left because a person asked for a pause or an abort."""
 
 
 class RunControl:
-    """Wishes and interlocks on their way to the step under way."""
+    """Carries requests and interlocks to the running step."""
 
     def __init__(self) -> None:
         self.requested: RequestedState = "go"
         self.reason: str | None = None
-        """Why, for whoever asks."""
+        """Why, for status."""
         self.tripped: LabdaemonError | None = None
-        """What the guard ended the step for; None if it did not."""
+        """What the interlock monitor ended the step for; None if it did not."""
         self.changed = asyncio.Event()
         """Something may be different now: look again."""
         self.no_capture_in_flight = asyncio.Event()
@@ -37,11 +37,11 @@ class RunControl:
 
     @property
     def is_running_step(self) -> bool:
-        """Whether a step is under way."""
+        """Whether a step runs."""
         return self._step_task is not None
 
     def clear(self, requested: RequestedState = "go") -> None:
-        """Begin afresh with this wish."""
+        """Begin anew with this requested state."""
         self.requested, self.reason, self.tripped = requested, None, None
         self.changed.set()
 
@@ -63,27 +63,27 @@ class RunControl:
         self.no_capture_in_flight.clear()
 
     def capture_ended(self) -> None:
-        """The capture is stored, or came to nothing; if somebody waited for that, the step is left now."""
+        """The capture is stored, or came to nothing; if a request waited for that, the step is left now."""
         self.no_capture_in_flight.set()
         if self.requested != "go" and self._step_task is not None:
             self._step_task.cancel()
 
     async def run_step(self, steps: Coroutine[Any, Any, None], monitor: asyncio.Task[None]) -> None:
-        """Walk to the end.
+        """Run to the end.
 
         Raises
         ------
         Interrupted
-            Somebody wanted something else.
+            A person asked for something else.
         LabdaemonError
-            The step failed, or the guard tripped.
+            The step failed, or an interlock tripped.
         """
         self.tripped = None
         task = self._step_task = asyncio.create_task(steps)
         try:
             await asyncio.wait({task, monitor}, return_when=asyncio.FIRST_COMPLETED)
             if not task.done():
-                monitor.result()  # without a guard nothing may move
+                monitor.result()  # without the interlock monitor nothing may move
         finally:
             if not task.done():
                 task.cancel()
@@ -97,7 +97,7 @@ class RunControl:
         task.result()
 
     async def wait(self, monitor: asyncio.Task[None], timeout_s: float | None = None) -> None:
-        """Wait for news, or for this long; raises what ended the guard, if it has ended."""
+        """Wait for a change, or for this long; raises what ended the interlock monitor, if it has ended."""
         changed = asyncio.create_task(self.changed.wait())
         try:
             await asyncio.wait({changed, monitor}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)

@@ -1,4 +1,4 @@
-"""What a plan is made of: the values that the engine walks."""
+"""What a plan is made of: the values that the engine works through."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Shot:
     exposure_s
         The camera's own step that was chosen.
     cycles
-        Excitation cycles in it, None at rest or when nobody knows the frequency.
+        Excitation cycles in it, None at rest or when the frequency is unknown.
     phase_rad
         Excitation phase at which to open, None for any.
     """

@@ -88,12 +88,12 @@ async def store(
     capture: str,
     state: FrameState = "stored",
 ) -> FrameRecord:
-    """Bring one file from a card to `path`, for good; to a name beside it where that is another frame's.
+    """Bring one file from a card to `path`, for good; to a name next to it where that is another frame's.
 
     Raises
     ------
     DeviceError
-        The camera failed more often than can be put down to the wire. The card still has the file.
+        The camera failed more often than a bad wire explains. The card still has the file.
     DataError
         The disk refused it. `StorageUnavailable` if it may take it later.
     """

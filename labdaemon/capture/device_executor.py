@@ -128,7 +128,7 @@ class ThreadExecutor:
             try:
                 loop.call_soon_threadsafe(settle, result, error)
             except RuntimeError:
-                return  # the loop has closed: nobody waits any more
+                return  # the loop has closed: no caller waits any more
 
         worker.put(run)
         async with asyncio.timeout(timeout_s):

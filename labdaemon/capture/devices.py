@@ -112,7 +112,7 @@ class Trigger(Protocol):
     def fire(self, exposure_s: float, *, frequency_hz: float | None = None, phase_rad: float | None = None) -> Firing:
         """Release all shutters once, at this excitation phase if one is given, and return when they have opened.
 
-        `exposure_s` tells how long a bulb line must be held; bodies on a fixed shutter time ignore it.
+        `exposure_s` says how long a bulb line must be held; bodies on a fixed shutter time ignore it.
         """
         ...
 
@@ -151,7 +151,7 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True)
 class CameraStatus:
-    """What can end a night early. None where the body does not tell."""
+    """What can end a night early. None where the body does not report it."""
 
     battery_percent: int | None
     free_bytes: int | None
@@ -277,7 +277,7 @@ class SineReading:
 
 @runtime_checkable
 class SineFinder(Protocol):
-    """The ability of a gauge to find an excitation that nobody stated; a gauge may lack it."""
+    """The ability of a gauge to find an excitation that was not stated; a gauge may lack it."""
 
     def find_sine(self, *, duration_s: float) -> SineReading:
         """Frequency and amplitude over the latest `duration_s` seconds; waits for that much data if need be."""

@@ -28,7 +28,7 @@ _SAME_NAME = 0.02
 WINDOW_STOPS = 2 / 3
 """How far the plan may go from the nominal exposure for whole cycles; further would clip or starve the frame."""
 TIE_CYCLES = 0.01
-"""Steps whose cycles are this equally good are told apart by how near they are to the nominal exposure."""
+"""Steps whose cycles are this equally good are distinguished by how near they are to the nominal exposure."""
 
 
 def _ladder(long_s: Sequence[float], below: Sequence[float], per_stop: int) -> dict[float, float]:
@@ -49,7 +49,7 @@ def true_steps_s(named_s: Iterable[float]) -> tuple[float, ...]:
     Parameters
     ----------
     named_s
-        Exposure times as the body reports them, seconds. The list as a whole tells a ladder in half stops (it has
+        Exposure times as the body reports them, seconds. The list as a whole shows a ladder in half stops (it has
         1.5 s, 1/45 or 1/90 s) from one in thirds.
 
     Returns
@@ -127,7 +127,7 @@ def choose_exposure(
     nominal_s
         What the campaign asks for.
     frequency_hz
-        Excitation; None or 0 when the structure is at rest or nobody knows: then the step nearest to nominal is taken.
+        Excitation; None or 0 when the structure is at rest or it is unknown: then the step nearest to nominal is taken.
     half_cycles
         Take the step nearest to half a cycle from whole instead (captures at known phases).
 

@@ -122,7 +122,7 @@ async def _prepare(context: FrameContext, name: str, camera: DeviceHandle[Camera
 
 
 async def _awaits(context: FrameContext, camera: str) -> bool:
-    """Whether a file is due that could not be told from one of an opening now; those that will not come are dropped."""
+    """Whether a file is due that a file of an opening now would resemble; those that will not come are dropped."""
     now_s = context.clock.monotonic()
     rows = card_records.owed_files(context.recorder.journal, camera)
     dropped = [

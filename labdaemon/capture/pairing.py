@@ -44,7 +44,7 @@ NOT_RAW_FORMATS = frozenset(
     {*range(0x3001, 0x3010), 0x3801, *range(0x3803, 0x380D), *range(0x380E, 0x3811), 0xB104, 0xB105, 0xB110}
     | {*range(0xB900, 0xBB00)}
 )
-"""PTP's object formats of folders, notes, sounds, films and finished pictures, and makers' own for HEIF and films."""
+"""PTP's object formats of folders, notes, sounds, films and finished images, and makers' own for HEIF and films."""
 
 LAG_TOLERANCE_S = 1.5
 """Two bodies that tell whole seconds may differ by one second more or less from one opening to the next."""

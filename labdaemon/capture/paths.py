@@ -49,7 +49,7 @@ def frame_path(data: Path, capture: CaptureRecord, camera: str, file: CardFile) 
 def set_aside_path(data: Path, campaign: str, capture: str, camera: str, name: str) -> Path:
     """Where a frame goes that belongs to no completed capture; the name is what the card makes of it."""
     root = campaign_folder(data, campaign) if campaign else data
-    return root / "set_aside" / (capture or "strays") / f"{camera}-{_NOT_IN_NAMES.sub('_', name)[-LONGEST_NAME:]}"
+    return root / "set_aside" / (capture or "unexpected") / f"{camera}-{_NOT_IN_NAMES.sub('_', name)[-LONGEST_NAME:]}"
 
 
 def opening_phase(capture: CaptureRecord) -> float | None:

@@ -13,7 +13,8 @@ T = TypeVar("T")
 
 UNLIMITED_S = 1e9
 """A write that was given up might still reach the disk, and its repetition would be a second one: so each is waited
-for, however long the disk takes. The guard sees that the table does not move meanwhile."""
+for, however long the disk takes. The interlock monitor sees to it that the table does not
+move meanwhile."""
 
 
 class Recorder:

@@ -1,7 +1,7 @@
-"""After any interruption, a crash or a cancelled step alike: what was in flight is completed or given up, never lost.
+"""After any interruption, be it a crash or a cancelled step, what was in flight is completed or given up, never lost.
 
 A capture whose exposure was seen to its end is completed from the cameras' cards. One that was not is given up: its
-frames are set aside and the shot is repeated, because nobody knows what the table did meanwhile.
+frames are set aside and the shot is repeated, because it is not known what the table did meanwhile.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ async def _settle_rest(context: AcquisitionContext, name: str, files: list[CardF
 
 
 async def reconnect_suspects(context: AcquisitionContext) -> None:
-    """Begin anew with every device that a fault was put down to; one that answers is no suspect any more.
+    """Begin anew with every device that has failed; one that answers is no suspect any more.
 
     Raises
     ------

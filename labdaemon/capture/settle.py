@@ -29,7 +29,7 @@ class Excitation:
     max_change_per_cycle: float = 0.001
     timeout_s: float = 60.0
     damping_ratio: float = 0.01
-    """Assumed when no response gauge tells."""
+    """Assumed without a response gauge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def record_s(frequency_hz: float) -> float:
 
 
 def is_steady(reading: GaugeReading, max_change_per_cycle: float) -> bool:
-    """Whether the amplitude no longer changes; what cannot be told from rest (3 sd) has nothing left to settle."""
+    """Whether the amplitude no longer changes; what is within 3 sd of rest has nothing left to settle."""
     return reading.change_per_cycle <= max_change_per_cycle or reading.value <= 3.0 * reading.sd
 
 

@@ -205,7 +205,7 @@ class Table:
         assert self._rig.shaker is not None
         stops = self._stops
         async with self._stopping:
-            pass  # a stop that is under way comes first
+            pass  # a stop in progress comes first
         self._refuse_if_stopped(stops)
         if self.unconfirmed is not None:
             raise DeviceError(

@@ -3,7 +3,7 @@
 Three things can see. The shaker's controller reads back its output, and some report the amplifier's state. A gauge on
 the table sees the motion itself. The amplifier's enable line counts once it was *proven* in this rig: the table moved,
 the line alone was dropped, and one of the other two saw the motion end. That a trigger box says it dropped its line
-proves nothing, since nobody knows where the wire goes.
+proves nothing, since it is not known where the wire goes.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ ENDED: tuple[CampaignState, ...] = ("completed", "aborted", "failed", "paused")
 
 @dataclass(slots=True)
 class FakeMeasurer:
-    """One target a frame, whose row tells what the fake cameras wrote.
+    """One target a frame, whose row reports what the fake cameras wrote.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class FakeMeasurer:
 class FakeLab:
     """An engine with everything around it in memory but the journal, which is real.
 
-    It can be killed and started again: the world (table, cards) goes on, the engine begins from the journal.
+    It can be killed and started again: the world (table, cards) continues, the engine begins from the journal.
 
     Parameters
     ----------

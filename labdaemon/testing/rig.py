@@ -29,7 +29,7 @@ from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceRefused, ProtocolError, TransportError
 
-FaultKind = Literal["gone", "rubbish", "refused", "silent", "slow", "torn", "lost_file", "stray_file"]
+FaultKind = Literal["gone", "rubbish", "refused", "silent", "slow", "torn", "lost_file", "unexpected_file"]
 FAULT_KINDS: tuple[FaultKind, ...] = (
     "gone",
     "rubbish",
@@ -38,13 +38,13 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
     "slow",
     "torn",
     "lost_file",
-    "stray_file",
+    "unexpected_file",
 )
 """Port gone; answer not in its protocol; a plain no; never an answer; one too late; a broken transfer; no file after a
-release; a file of nobody's."""
+release; a file of no release."""
 
 EPOCH = datetime(2019, 1, 1)
-"""A body's own clock, which nobody has set for years, at monotonic time 0."""
+"""A body's own clock, which was not set for years, at monotonic time 0."""
 
 HEARTBEAT_S = 1.5
 """Without one for so long the enable line drops by itself."""
@@ -92,7 +92,7 @@ class FakeWorld:
         self.faults.setdefault(operation, deque()).extend(kinds)
 
     def enter(self, device: str, operation: str, cost_s: float = 0.01) -> FaultKind | None:
-        """Every fake call starts here: lets time pass, and fails where it is told to."""
+        """Every fake call starts here: lets time pass, and fails where it is to."""
         self.spent_s = cost_s
         self.on_call(f"{device}.{operation}")
         waiting = self.faults.get(f"{device}.{operation}")
@@ -126,7 +126,7 @@ class FakeWorld:
         return self.enabled
 
     def moves(self) -> bool:
-        """Whether the table shakes: told to, and the amplifier still enabled."""
+        """Whether the table shakes: it was set to, and the amplifier is still enabled."""
         if self.deaf:
             return self.amplitude_mm > 0
         return self.running and (not self.line_wired or self.is_enabled())
@@ -147,7 +147,7 @@ class FakeWorld:
 
 @dataclass(slots=True)
 class FakeShaker:
-    """A controller that does what it is told."""
+    """A controller that does what it is asked."""
 
     world: FakeWorld
     name: str = "shaker"
@@ -237,7 +237,7 @@ class FakeCamera:
     card
         What is on the card: file and content, by handle.
     arriving
-        Handle and monotonic time of files that the host has not been told of yet.
+        Handle and monotonic time of files that were not yet reported to the host.
     made
         SHA-256 of every frame it ever took.
     late_s
@@ -303,7 +303,7 @@ class FakeCamera:
 
     def wait_file(self, timeout_s: float) -> CardFile | None:
         kind = self.world.enter(self.name, "wait_file")
-        if kind == "stray_file":
+        if kind == "unexpected_file":
             self.release(0.0)
         now_s = self.world.clock.monotonic()
         if self.arriving and self.arriving[0][1] <= now_s + timeout_s:

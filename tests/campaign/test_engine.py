@@ -450,14 +450,14 @@ def test_a_lost_frame_is_retried_and_its_companion_set_aside(simulate):
     simulate(scenario)
 
 
-def test_a_stray_file_is_not_taken_for_a_frame(simulate):
+def test_an_unexpected_file_is_not_taken_for_a_frame(simulate):
     async def scenario(lab: FakeLab):
         await lab.clock.sleep(5.0)
         lab.fake.cameras[0].release(0.5)
         await lab.clock.sleep(60.0)
         id = await lab.submit(RETRY)
         assert (await lab.until(id)).state == "completed"
-        assert [path.name for path in (lab.data / "set_aside" / "strays").iterdir()] == ["left-DSC_00001.DNG"]
+        assert [path.name for path in (lab.data / "set_aside" / "unexpected").iterdir()] == ["left-DSC_00001.DNG"]
         assert len(envelopes(lab)) == 3
 
     simulate(scenario)
