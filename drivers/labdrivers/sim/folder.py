@@ -72,7 +72,7 @@ class _FolderWriter:
 
     folder: Path
     scene: FolderScene
-    layout: Layout
+    layout: SceneLayout
     rng: np.random.Generator
     optics: Optics
     body: Sensor
