@@ -29,3 +29,5 @@ class Flag(StrEnum):
     """More than 0.05 cycles from whole, with the phase unknown."""
     CAMERA_MOVED = "camera_moved"
     """The frame's control targets moved: camera shake, not structure."""
+    CONTRADICTS_GROUP = "contradicts_group"
+    """Members of a group differ beyond their standard deviations: they do not repeat one motion."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labdaemon.blur.agreement import members_contradict
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import MEASURE
@@ -26,7 +27,8 @@ def average_measurements(measured: Sequence[Measurement]) -> Measurement:
     -------
     Measurement
         Axes point the same way before they are averaged. The flags are those of the frames used; `at_rest` stays only
-        where the target is at rest in all of them.
+        where the target is at rest in all of them. `contradicts_group` where they differ beyond their sd: the
+        covariance then contains the scatter of the members.
     """
     usable = [
         one
@@ -36,19 +38,24 @@ def average_measurements(measured: Sequence[Measurement]) -> Measurement:
     if not usable:
         return measured[0]
     first = usable[0]
-    normal, right = np.zeros((6, 6)), np.zeros(6)
+    normal, right, values = np.zeros((6, 6)), np.zeros(6), []
     for one in usable:
         a = one.a_px if one.a_px @ first.a_px >= 0 else -one.a_px
         b = one.b_px if one.b_px @ first.b_px >= 0 else -one.b_px
         # A straight path's covariance is singular.
         weight = np.linalg.inv(one.covariance_px2 + MEASURE.mean_floor_px2 * np.eye(6))
         normal += weight
-        right += weight @ np.concatenate([one.centre_px, a, b])
+        values.append(np.concatenate([one.centre_px, a, b]))
+        right += weight @ values[-1]
     covariance: FloatArray = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     mean = covariance @ right
     flags = {flag for one in usable for flag in one.flags}
     if not all(Flag.AT_REST in one.flags for one in usable):
         flags.discard(Flag.AT_REST)
+    if members_contradict(usable):
+        flags.add(Flag.CONTRADICTS_GROUP)
+        away = np.array(values) - mean
+        covariance = covariance + away.T @ away / (len(values) - 1)
     return Measurement(
         first.target,
         mean[:2],

@@ -57,6 +57,11 @@ class MeasureSettings:
     """Contrast of a textured patch, over the sharp frame's, below which the patch is not in the frame. Trial."""
     mean_floor_px2: float = 1e-6
     """Variance that keeps a singular covariance (a straight path's) invertible in a weighted mean. Numerics."""
+    contradiction_probability: float = 1e-5
+    """Probability of a χ² between members of a group below which they contradict each other. Statistics: one row in a
+    thousand is flagged where the stated sd are 15 % too small."""
+    member_floor_px: float = 0.005
+    """Error of each member that no sd states (interpolation, a change of scale with depth). Trial."""
 
 
 @dataclass(frozen=True, slots=True)
