@@ -47,5 +47,7 @@ def test_members_of_one_motion_are_not_flagged_whatever_sign_their_axes_have():
     rng = np.random.default_rng(1)
     for size in (0.0, 0.3, 1.0, 5.0, 30.0):
         for _ in range(100):
-            group = [member(rng.choice([-1, 1]) * (np.array([size, 0.3 * size]) + 0.01 * rng.normal(size=2))) for _ in "ab"]
+            group = [
+                member(rng.choice([-1, 1]) * (np.array([size, 0.3 * size]) + 0.01 * rng.normal(size=2))) for _ in "ab"
+            ]
             assert Flag.CONTRADICTS_GROUP not in average_measurements(group).flags
