@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -24,10 +23,8 @@ from labdaemon.campaign.campaign_file import (
 from labdaemon.campaign.limits import ShakerLimits, crossed_amplitude, crossed_frequency
 from labdaemon.campaign.steps import Plan, SettleRule, Shot, Step
 from labdaemon.capture.exposure import choose_exposure, common_steps_s
+from labdaemon.capture.settle import settling_time_s
 from labdaemon.errors import ConfigError, LimitError
-
-SETTLED_TO = 1000.0
-"""A structure counts as settled when its transient has fallen to this fraction: ln(1000)/(ζ·2πf) seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +225,7 @@ class _Planner:
         shooting_s = sum(shot.exposure_s + self.rig.shot_s for shot in shots)
         moving_s = 0.0
         if isinstance(phase, ShakingPhase) and frequency_hz is not None:
-            moving_s = self.rig.set_s + min(settle.timeout_s, settling_s(frequency_hz, settle.damping_ratio))
+            moving_s = self.rig.set_s + min(settle.timeout_s, settling_time_s(frequency_hz, settle.damping_ratio))
         return Step(
             index=0,
             phase=place,
@@ -257,11 +254,6 @@ def _offered(exposures_s: Sequence[float]) -> str:
             return f"the cameras offer only {only:.4g} s (turn the dial to M or S for more)"
         case _:
             return f"the cameras offer {exposures_s[0]:.4g} to {exposures_s[-1]:.4g} s"
-
-
-def settling_s(frequency_hz: float, damping_ratio: float) -> float:
-    """Time for a structure's transient to fall to 0.1 %: ln(1000)/(ζ·2πf), seconds (5 Hz at 1 %: 22 s)."""
-    return math.log(SETTLED_TO) / (damping_ratio * 2 * math.pi * frequency_hz)
 
 
 def _settings(phase: StepsPhase | SweepPhase | DwellPhase) -> Iterator[tuple[float, float, str, str]]:

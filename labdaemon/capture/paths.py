@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 from math import pi
 from pathlib import Path, PurePath
+from typing import Any
+
+import tomli_w
 
 from labdaemon.capture.devices import CardFile
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
@@ -59,45 +61,33 @@ def opening_phase(capture: CaptureRecord) -> float | None:
 
 def capture_toml(capture: CaptureRecord) -> str:
     """The capture's `capture.toml`: what measuring needs to know of it, and what a person wants to."""
-    lines: list[str] = []
-    if capture.frequency_hz is not None:
-        lines.append(f"frequency_hz = {capture.frequency_hz!r}")
-    if capture.exposure_s != UNKNOWN_EXPOSURE_S:
-        lines.append(f"exposure_s = {capture.exposure_s!r}")
     phase_rad = opening_phase(capture)
-    if phase_rad is not None:
-        lines.append(f"phase_rad = {phase_rad!r}")
-        lines.append(f"sd_phase_rad = {capture.sd_phase_rad or 0.0!r}")
-    if capture.grouped:
-        lines.append(f"group = {toml_string(capture.grouped)}")
-    if capture.sharp:
-        lines.append(f"sharp = {toml_string(capture.sharp)}")
-    if capture.opened_at:
-        lines.append(f'opened_at = "{capture.opened_at}"')
-    if capture.amplitude_mm is not None:
-        lines.append(f"excitation_amplitude_mm = {capture.amplitude_mm!r}")
-    if capture.step != NO_STEP:
-        lines.append(f"step = {capture.step}")
-    lines.append(f"label = {toml_string(capture.label)}")
-    lines += _camera_phases(capture, phase_rad)
-    return "\n".join(lines) + "\n"
+    table: dict[str, Any] = {
+        "frequency_hz": capture.frequency_hz,
+        "exposure_s": None if capture.exposure_s == UNKNOWN_EXPOSURE_S else capture.exposure_s,
+        "phase_rad": phase_rad,
+        "sd_phase_rad": None if phase_rad is None else capture.sd_phase_rad or 0.0,
+        "group": capture.grouped or None,
+        "sharp": capture.sharp or None,
+        "opened_at": capture.opened_at or None,
+        "excitation_amplitude_mm": capture.amplitude_mm,
+        "step": None if capture.step == NO_STEP else capture.step,
+        "label": capture.label,
+        "cameras": _camera_phases(capture, phase_rad) or None,
+    }
+    return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 
 
-def toml_string(text: str) -> str:
-    """Any text as a TOML basic string."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
-
-
-def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> list[str]:
+def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> dict[str, dict[str, float]]:
     """Each body's own opening phase, from its measured lag behind the mean."""
     if phase_rad is None or capture.frequency_hz is None or not capture.opening_s:
-        return []
+        return {}
     mean_s = sum(capture.opening_s.values()) / len(capture.opening_s)
-    lines: list[str] = []
-    for camera, opening_s in sorted(capture.opening_s.items()):
-        own = (phase_rad + 2.0 * pi * capture.frequency_hz * (opening_s - mean_s)) % (2.0 * pi)
-        lines += [f"[cameras.{camera}]", f"phase_rad = {own!r}"]
-    return lines
+    turn = 2.0 * pi
+    return {
+        camera: {"phase_rad": (phase_rad + turn * capture.frequency_hz * (opening_s - mean_s)) % turn}
+        for camera, opening_s in sorted(capture.opening_s.items())
+    }
 
 
 def with_opening(

@@ -41,8 +41,8 @@ class SettlingResult:
     waited_s: float
 
 
-def ring_s(frequency_hz: float, damping_ratio: float) -> float:
-    """Seconds until free vibration has died to 0.1 %: ln(1000)/(ζ·2πf)."""
+def settling_time_s(frequency_hz: float, damping_ratio: float) -> float:
+    """Time for a transient of the structure to fall to 0.1 %: ln(1000)/(ζ·2πf), seconds (5 Hz at 1 %: 22 s)."""
     return math.log(1000.0) / (damping_ratio * 2.0 * math.pi * frequency_hz)
 
 
@@ -74,7 +74,7 @@ async def wait_settled(rig: Rig, excitation: Excitation, clock: Clock) -> Settli
     response, table = rig.gauge("response"), rig.gauge("table")
     reading: GaugeReading | None = None
     if response is None:
-        await clock.sleep(min(ring_s(frequency_hz, excitation.damping_ratio), timeout_s))
+        await clock.sleep(min(settling_time_s(frequency_hz, excitation.damping_ratio), timeout_s))
     else:
         steady = 0
         while steady < IN_A_ROW:

@@ -10,7 +10,7 @@ from functools import partial
 from labdaemon.capture.abilities import AmplitudeTrimmer
 from labdaemon.capture.devices import GaugeReading
 from labdaemon.capture.rig import Rig
-from labdaemon.capture.settle import Excitation, SettlingResult, ring_s, wait_settled
+from labdaemon.capture.settle import Excitation, SettlingResult, settling_time_s, wait_settled
 from labdaemon.capture.table_evidence import TableState
 from labdaemon.capture.table_observer import TableObserver
 from labdaemon.capture.table_stop import PATIENCE_S, RestConfirmation, bring_to_rest
@@ -127,7 +127,7 @@ class Table:
         last_hz = self._last_hz
         await self.stop()
         if last_hz is not None:
-            await self._clock.sleep(ring_s(last_hz, 0.01))
+            await self._clock.sleep(settling_time_s(last_hz, 0.01))
             self._last_hz = None
 
     async def stop(self, *, at_once: bool = False, patience_s: float = PATIENCE_S) -> RestConfirmation:

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from labdaemon.campaign.campaign_file import load_campaign
 from labdaemon.campaign.limits import ShakerLimits
-from labdaemon.campaign.plan import PlanRig, make_plan, settling_s
+from labdaemon.campaign.plan import PlanRig, make_plan
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.exposure import third_stop_steps_s
+from labdaemon.capture.settle import settling_time_s
 from labdaemon.errors import ConfigError, LabdaemonError, LimitError
 
 TABLE = ShakerLimits(150.0, 1000.0, 20000.0, (0.5, 50.0))
@@ -41,7 +42,9 @@ def test_three_modes() -> None:
     assert len(made.steps[0].shots) == 3
     assert [step.index for step in made.steps] == [0, 1, 2, 3]
     assert made.predicted_bytes == 6 * 40_000_000
-    assert made.predicted_s == pytest.approx(12 + 3 * (2 + 4) + sum(settling_s(f, 0.01) for f in (5, 8, 12)), abs=0.1)
+    assert made.predicted_s == pytest.approx(
+        12 + 3 * (2 + 4) + sum(settling_time_s(f, 0.01) for f in (5, 8, 12)), abs=0.1
+    )
 
 
 @pytest.mark.parametrize("path", sorted(THREE_MODES.parent.glob("*.toml")), ids=lambda path: path.stem)
@@ -52,7 +55,7 @@ def test_the_campaigns_in_config_can_be_walked_on_the_simulated_rig(path: Path) 
 
 
 def test_settling_is_the_measured_time() -> None:
-    assert settling_s(5.0, 0.01) == pytest.approx(22.0, abs=0.1)  # the textbook case: 5 Hz at 1 %
+    assert settling_time_s(5.0, 0.01) == pytest.approx(22.0, abs=0.1)  # the textbook case: 5 Hz at 1 %
 
 
 def test_spacing_includes_both_ends() -> None:
@@ -128,7 +131,7 @@ def test_dwell_external_and_pause() -> None:
     )
     dwell, external, pause, wait = made.steps[1:]
     assert (dwell.hold_s, len(dwell.shots)) == (600, 1)
-    assert dwell.predicted_s > 600 + settling_s(5, 0.01)
+    assert dwell.predicted_s > 600 + settling_time_s(5, 0.01)
     assert (external.hold_s, len(external.shots), external.frequency_hz) == (120, 4, None)
     assert (pause.hold_s, pause.shots, pause.predicted_s) == (30, (), 30)
     assert wait.hold_s == 0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from labdaemon.capture.devices import GaugeReading
-from labdaemon.capture.settle import Excitation, is_steady, ring_s, wait_settled
+from labdaemon.capture.settle import Excitation, is_steady, settling_time_s, wait_settled
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import DeviceError
 from labdaemon.testing.rig import fake_rig
@@ -14,8 +14,8 @@ from labdaemon.testing.rig import fake_rig
 
 def test_ring_time_is_that_of_the_free_vibration():
     # 5 Hz at 1 % damping: exp(-0.01 * 2 pi 5 t) = 1/1000 at 22 s
-    assert ring_s(5.0, 0.01) == pytest.approx(21.99, abs=0.01)
-    assert math.exp(-0.01 * 2 * math.pi * 5.0 * ring_s(5.0, 0.01)) == pytest.approx(1e-3)
+    assert settling_time_s(5.0, 0.01) == pytest.approx(21.99, abs=0.01)
+    assert math.exp(-0.01 * 2 * math.pi * 5.0 * settling_time_s(5.0, 0.01)) == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_without_a_gauge_the_whole_ring_time_is_waited():
     async def main() -> float:
         return (await wait_settled(rig, Excitation(5.0, 1.0, damping_ratio=0.02), clock)).waited_s
 
-    assert clock.run(main()) == pytest.approx(ring_s(5.0, 0.02))
+    assert clock.run(main()) == pytest.approx(settling_time_s(5.0, 0.02))
 
 
 def test_what_never_settles_is_told_in_time():

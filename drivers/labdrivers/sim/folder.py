@@ -58,7 +58,7 @@ def make_folder(path: Path | str, scene: FolderScene | None = None, **changes: A
 
 
 @dataclass(frozen=True, slots=True)
-class _Shot:
+class _FolderShot:
     """One exposure of a capture."""
 
     name: str
@@ -150,17 +150,19 @@ class _FolderWriter:
             self._describe(shot, label)
         return rows
 
-    def _shots(self, label: str) -> list[_Shot]:
+    def _shots(self, label: str) -> list[_FolderShot]:
         scene = self.scene
         if scene.light is not None:
             # The shutter opens when it likes: its phase plays no part under coded light.
             openings = self.rng.uniform(0.0, 2.0 * np.pi, len(scene.light))
-            return [_Shot(f"{label}-{k + 1}", float(openings[k]), code) for k, code in enumerate(scene.light)]
+            return [_FolderShot(f"{label}-{k + 1}", float(openings[k]), code) for k, code in enumerate(scene.light)]
         if scene.phase_rad is not None:
-            return [_Shot(f"{label}-{k + 1}", phase) for k, phase in enumerate(scene.phase_rad)]
-        return [_Shot(label, 0.0)]
+            return [_FolderShot(f"{label}-{k + 1}", phase) for k, phase in enumerate(scene.phase_rad)]
+        return [_FolderShot(label, 0.0)]
 
-    def _write_shot(self, shot: _Shot, motions: dict[str, Harmonic], number_in_folder: int) -> dict[str, TargetTruth]:
+    def _write_shot(
+        self, shot: _FolderShot, motions: dict[str, Harmonic], number_in_folder: int
+    ) -> dict[str, TargetTruth]:
         """Write the frames of one exposure; return the truth of the last camera's."""
         scene, truth = self.scene, dict[str, TargetTruth]()
         opened_s = self._opened_s(shot)
@@ -187,10 +189,10 @@ class _FolderWriter:
             truth = frame.truth
         return truth
 
-    def _opened_s(self, shot: _Shot) -> float:
+    def _opened_s(self, shot: _FolderShot) -> float:
         return shot.opening_rad / (2.0 * np.pi * self.scene.frequency_hz)
 
-    def _lamp(self, shot: _Shot) -> tuple[LampPlay, int] | None:
+    def _lamp(self, shot: _FolderShot) -> tuple[LampPlay, int] | None:
         scene = self.scene
         if shot.code is None:
             return None
@@ -204,7 +206,7 @@ class _FolderWriter:
             rise_s=scene.lamp_rise_s,
         )
 
-    def _describe(self, shot: _Shot, label: str) -> None:
+    def _describe(self, shot: _FolderShot, label: str) -> None:
         """Write `capture.toml`, as much as the scene says."""
         scene = self.scene
         if scene.tell == "nothing":
