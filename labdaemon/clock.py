@@ -93,7 +93,7 @@ class SimulatedClock:
             return runner.run(coroutine)
 
     def runner(self) -> asyncio.Runner:
-        """Runs several coroutines one after the other; between them no time passes, and no task goes on."""
+        """Runs several coroutines one after the other; between them no time passes, and no task runs."""
         return asyncio.Runner(loop_factory=lambda: _SimulatedLoop(self))
 
 

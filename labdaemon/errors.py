@@ -84,7 +84,7 @@ class StorageFull(StorageUnavailable):
 
 
 class DeviceError(LabdaemonError):
-    """A device did not do what it was told. Root of transport and protocol faults.
+    """A device did not do what it was asked. Root of transport and protocol faults.
 
     Parameters
     ----------

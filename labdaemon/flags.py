@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class Flag(StrEnum):
-    """What a result file says about a target, beside its numbers."""
+    """What a result file says about a target, in addition to its numbers."""
 
     NOT_FOUND = "not_found"
     """The target could not be located in the frame."""

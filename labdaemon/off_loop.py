@@ -1,7 +1,7 @@
 """Blocking work off the event loop, on threads that hold up nothing, not even the end of the process.
 
 `asyncio.to_thread` shares a pool whose threads the interpreter waits for at its end: six slow jobs of one peer would
-block results and SIGTERM alike.
+block results and SIGTERM.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from labdaemon.tomlfile import Section
+from labdaemon.tomlfile import TomlSection
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
 Written = Annotated[str, Field(pattern=r"^[^\x00]+$")]
@@ -29,7 +29,7 @@ Seconds = Annotated[float, Field(gt=0, le=86400, strict=True)]
 _LOOPBACK = re.compile(r"^tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):(\d{1,5}|\*)$")
 
 
-class ServiceSection(Section):
+class ServiceSection(TomlSection):
     """Where the daemon listens and what it writes to. Port ``*`` takes a free one, which the daemon prints."""
 
     events: str = "tcp://127.0.0.1:5571"
@@ -75,7 +75,7 @@ class ServiceSection(Section):
         return self
 
 
-class DriverSection(Section):
+class DriverSection(TomlSection):
     """A section whose other keys belong to the driver that it names."""
 
     model_config = ConfigDict(extra="allow")
@@ -96,7 +96,7 @@ class DriverSection(Section):
         return set(self.model_extra or {})
 
 
-class LimitsSection(Section):
+class LimitsSection(TomlSection):
     """The table's limits, see `labdaemon.campaign.limits.ShakerLimits`."""
 
     stroke_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
@@ -172,7 +172,7 @@ class CameraSection(DriverSection):
         return self
 
 
-class TargetsSection(Section):
+class TargetsSection(TomlSection):
     """The dots on the structure."""
 
     diameter_mm: (
@@ -184,7 +184,7 @@ class TargetsSection(Section):
     """Approximate places of the targets (``name,x_mm,y_mm,z_mm``), relative to the rig file."""
 
 
-class ControlSection(Section):
+class ControlSection(TomlSection):
     """The surveyed control targets."""
 
     family: Name = "apriltag-36h11"
@@ -193,16 +193,16 @@ class ControlSection(Section):
     """Their surveyed centres (``name,x_mm,y_mm,z_mm,sd_mm``), relative to the rig file."""
 
 
-class GuardianSection(Section):
+class GuardianSection(TomlSection):
     """The process that stops the table when the daemon cannot."""
 
     silence_s: Annotated[float, Field(ge=1, le=60, strict=True)] = 2.0
     """With the table moving, a daemon that is silent for so long is ended and the table stopped."""
     patience_s: Seconds = 600.0
-    """How long it goes on trying to stop a table that does not confirm."""
+    """How long it tries to stop a table that does not confirm."""
 
 
-class ProcessingSection(Section):
+class ProcessingSection(TomlSection):
     """How frames are measured."""
 
     method: Literal["fit", "paper"] = "fit"
@@ -213,7 +213,7 @@ class ProcessingSection(Section):
     """Longest that a capture may take to measure before its worker is replaced."""
 
 
-class InterlocksSection(Section):
+class InterlocksSection(TomlSection):
     """What stops the table. None switches a check off."""
 
     accept_no_enable: bool = False
@@ -236,7 +236,7 @@ class InterlocksSection(Section):
     """No measurement finished for so long although some are waiting."""
 
 
-class RigSections(Section):
+class RigSections(TomlSection):
     """All sections of a rig file."""
 
     service: ServiceSection = ServiceSection()

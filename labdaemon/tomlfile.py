@@ -23,7 +23,7 @@ PIPE_S = 5.0
 """How long a file that is a pipe may take to deliver."""
 
 
-class Section(BaseModel):
+class TomlSection(BaseModel):
     """A table of a TOML file: frozen, and a key it does not know is an error that names the nearest one it does.
 
     Raises
@@ -83,8 +83,8 @@ def parse_model(model: type[Model], data: dict[str, Any], *, source: Path | str 
     Raises
     ------
     ConfigError
-        Names the file, the key's path and what would be right. Of several mistakes one is told: an unknown key first
-        (others often follow from it), else the deepest in the file, since that branch of a choice was meant.
+        Names the file, the key's path and what would be right. Of several mistakes one is reported: an unknown key
+        first (others often follow from it), else the deepest in the file, since that branch of a choice was meant.
     """
     try:
         return model.model_validate(data, context=context)

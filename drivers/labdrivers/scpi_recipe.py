@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from importlib.metadata import entry_points
 
-from labdaemon.guardian.recipe import Exchange, PortSetup, StopRecipe
+from labdaemon.guardian.recipe import PortSetup, StopRecipe, WireExchange
 from labdrivers.scpi_commands import ScpiCommands
 from labdrivers.serial_line import URL_GROUP, PortSettings
 
@@ -47,19 +47,19 @@ def stop_recipe(
             xonxoff=handshake == "xonxoff",
         ),
         stop=(
-            Exchange(b"\n"),  # ends whatever half a command the daemon left
-            Exchange(_line(off), re.escape(commands.acknowledge) if commands.acknowledge else None, None, within_s),
+            WireExchange(b"\n"),  # ends whatever half a command the daemon left
+            WireExchange(_line(off), re.escape(commands.acknowledge) if commands.acknowledge else None, None, within_s),
         ),
-        identify=Exchange(_line(commands.identify), within_s=within_s),
+        identify=WireExchange(_line(commands.identify), within_s=within_s),
         confirm=(_rest(commands, lowest_level, within_s),),
     )
 
 
-def _rest(commands: ScpiCommands, lowest_level: float, within_s: float) -> Exchange:
+def _rest(commands: ScpiCommands, lowest_level: float, within_s: float) -> WireExchange:
     if commands.get_output:
         off = "|".join(re.escape(reply) for reply in commands.off_replies)
-        return Exchange(_line(commands.get_output), off, None, within_s)
-    return Exchange(_line(commands.get_level), None, lowest_level * ABOVE_LOWEST, within_s)
+        return WireExchange(_line(commands.get_output), off, None, within_s)
+    return WireExchange(_line(commands.get_level), None, lowest_level * ABOVE_LOWEST, within_s)
 
 
 def _line(command: str) -> bytes:

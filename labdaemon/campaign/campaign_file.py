@@ -27,7 +27,7 @@ from pydantic import Field, field_validator, model_validator
 from labdaemon.campaign import steps
 from labdaemon.campaign.steps import OnFault
 from labdaemon.errors import ConfigError
-from labdaemon.tomlfile import Section, parse_model, parse_toml, read_toml
+from labdaemon.tomlfile import TomlSection, parse_model, parse_toml, read_toml
 
 MAX_STEPS = 20_000
 """A campaign of more steps than this is a slip of the pen."""
@@ -42,7 +42,7 @@ Phase = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, strict=True)]
 TimeOfDay = Annotated[str, Field(pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$")]
 
 
-class SettleSection(Section):
+class SettleSection(TomlSection):
     """When table and structure count as settled; see `labdaemon.campaign.steps.SettleRule`."""
 
     max_change_per_cycle: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.001
@@ -54,7 +54,7 @@ class SettleSection(Section):
         return steps.SettleRule(self.max_change_per_cycle, self.timeout_s, self.damping_ratio)
 
 
-class Spacing(Section):
+class Spacing(TomlSection):
     """A ladder of frequencies: ``{ start = 4, stop = 14, count = 21, spacing = "log" }``, both ends included."""
 
     start: PositiveHz
@@ -74,7 +74,7 @@ class Spacing(Section):
         return (self.start, *inner[1:-1], self.stop)
 
 
-class PhaseSection(Section):
+class PhaseSection(TomlSection):
     """What every phase may say."""
 
     label: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,39}$")] | None = None
@@ -214,7 +214,7 @@ AnyPhase = Annotated[
 ]
 
 
-class CampaignSection(Section):
+class CampaignSection(TomlSection):
     """The whole file."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}$")]

@@ -17,7 +17,7 @@ from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.enable_line_proof import LineUnproven, can_prove_enable_line, prove_enable_line
 from labdaemon.errors import DeviceError, InterlockError
-from labdaemon.stream.messages import WrongState
+from labdaemon.stream.messages import WrongStateError
 
 log = logging.getLogger(__name__)
 
@@ -60,14 +60,14 @@ class EnableLine:
 
         Raises
         ------
-        WrongState
+        WrongStateError
             The line is not proven, and the rig file does not accept that.
         """
         first = next((step for step in plan.steps if _moves(step)), None)
         if self.is_accepted or first is None or self.state in (None, "proven"):
             return
         if self.state == "impossible":
-            raise WrongState(NO_LINE)
+            raise WrongStateError(NO_LINE)
         if not is_idle:
             return  # the campaign that runs, or waits, proves it before it moves anything
         try:
@@ -75,7 +75,7 @@ class EnableLine:
         except DeviceError as exc:
             log.warning("the enable line could not be tried (%s); the campaign tries it before it moves the table", exc)
         except InterlockError as exc:
-            raise WrongState(f"{exc}; or set [interlocks] accept_no_enable = true") from exc
+            raise WrongStateError(f"{exc}; or set [interlocks] accept_no_enable = true") from exc
 
     async def before(self, step: Step) -> None:
         """What comes before a step that moves the table.

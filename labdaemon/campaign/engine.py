@@ -29,7 +29,7 @@ from labdaemon.errors import InterlockError, LabdaemonError, StorageError, Stora
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CampaignRecord, CaptureRecord
 from labdaemon.orbit_size import LargestMotion, largest_motion
-from labdaemon.stream.messages import Busy, CommandError, WrongState
+from labdaemon.stream.messages import BusyError, CommandError, WrongStateError
 
 log = logging.getLogger(__name__)
 
@@ -175,7 +175,7 @@ class Engine:
 
         Raises
         ------
-        WrongState
+        WrongStateError
             It moves the table, and the enable line was not seen to stop it; see `labdaemon.campaign.enable_line`.
         """
         async with self.manual.turn:  # the proof moves the table, which no capture may see
@@ -189,13 +189,13 @@ class Engine:
 
         Raises
         ------
-        NotFound, WrongState
+        NotFoundError, WrongStateError
             There is no such campaign, or it is not running.
         """
         record = named_campaign(self._journal, campaign, self.current, "running")
         self.control.request("pause", reason)
         if not await self.runner.move(record, "paused", reason):
-            raise WrongState(f"campaign {record.id} has just ended")
+            raise WrongStateError(f"campaign {record.id} has just ended")
         return record.id
 
     async def resume(self, campaign: str | None = None, *, accept_changed_rig: bool = False) -> str:
@@ -203,17 +203,17 @@ class Engine:
 
         Raises
         ------
-        NotFound, WrongState
+        NotFoundError, WrongStateError
             There is no such campaign, it is not paused, or it was planned for another rig.
         """
         record = named_campaign(self._journal, campaign, self.current, "paused")
         plan = await self.context.recorder.in_background(self.runner.planner, record.toml)
         if plan.digest != record.digest:
             if not accept_changed_rig:
-                raise WrongState(f"{record.id}: {CHANGED_RIG}")
+                raise WrongStateError(f"{record.id}: {CHANGED_RIG}")
             await self.files.accept(record, plan.digest)
         if not await self.runner.move(record, "running", **outline(plan)):
-            raise WrongState(f"campaign {record.id} has just ended")
+            raise WrongStateError(f"campaign {record.id} has just ended")
         self.control.clear()
         return record.id
 
@@ -222,7 +222,7 @@ class Engine:
 
         Raises
         ------
-        NotFound, WrongState
+        NotFoundError, WrongStateError
             There is no such campaign, or it has ended.
         """
         record = named_campaign(self._journal, campaign, self.current, "running", "paused", "queued")
@@ -237,13 +237,13 @@ class Engine:
 
         Raises
         ------
-        Busy
+        BusyError
             A campaign is running.
         DeviceError
             Trigger or cameras refused.
         """
         if self.current is not None and state_of(self._journal, self.current.id) != "paused":
-            raise Busy(f"campaign {self.current.id} is running; pause it first")
+            raise BusyError(f"campaign {self.current.id} is running; pause it first")
         campaign = self.current.id if self.current is not None else None
         if self.step_runner.needs_recovery:
             await self.manual.finish()

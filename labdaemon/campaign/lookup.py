@@ -8,7 +8,7 @@ from labdaemon.campaign.steps import Plan
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
-from labdaemon.stream.messages import NotFound, WrongState
+from labdaemon.stream.messages import NotFoundError, WrongStateError
 
 
 def named_campaign(
@@ -18,18 +18,18 @@ def named_campaign(
 
     Raises
     ------
-    NotFound, WrongState
+    NotFoundError, WrongStateError
         There is no such campaign, or it is in another state.
     """
     if id is None:
         if current is None:
-            raise NotFound("no campaign is in progress; submit one")
+            raise NotFoundError("no campaign is in progress; submit one")
         id = current.id
     record = records.campaign(journal, id)
     if record is None:
-        raise NotFound(f"no campaign {id!r}")
+        raise NotFoundError(f"no campaign {id!r}")
     if record.state not in states:
-        raise WrongState(f"campaign {id} is {record.state}, not {' or '.join(states)}")
+        raise WrongStateError(f"campaign {id} is {record.state}, not {' or '.join(states)}")
     return record
 
 

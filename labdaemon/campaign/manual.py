@@ -24,7 +24,7 @@ from labdaemon.durable import write_durably
 from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
-from labdaemon.stream.messages import Busy, InvalidParams
+from labdaemon.stream.messages import BusyError, InvalidParamsError
 
 ANSWER_S = 10.0
 """How long a request waits for the outside system to release before it is answered without an opening."""
@@ -138,16 +138,18 @@ class ManualCaptures:
         ------
         DeviceError
             Trigger or cameras refused.
-        InvalidParams
+        InvalidParamsError
             The group has the name of a capture, or of planned ones.
-        Busy
+        BusyError
             Too many captures wait for an outside system already.
         """
         group = request.group
         if group is not None and records.is_taken(
             self._context.recorder.journal, campaign or transitions.MANUAL, group
         ):
-            raise InvalidParams(f"group {group!r} is the name of a capture, or of a planned group; take another one")
+            raise InvalidParamsError(
+                f"group {group!r} is the name of a capture, or of a planned group; take another one"
+            )
         if self._context.rig.trigger is None:
             return await self._expect(request, campaign)
         await self.turn.acquire()
@@ -188,7 +190,7 @@ class ManualCaptures:
         again = [one for one in self._expected if request.request_id and one.request.request_id == request.request_id]
         if not again:
             if len(self._expected) >= MOST_EXPECTED:
-                raise Busy(f"{MOST_EXPECTED} captures wait for the outside system to release already")
+                raise BusyError(f"{MOST_EXPECTED} captures wait for the outside system to release already")
             id = await self.measurements.open(campaign)
             name = self._free_name(id, request.label)
             fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()

@@ -13,6 +13,6 @@ if __name__ == "__main__":
     import serial.urlhandler.protocol_rfc2217
     import serial.urlhandler.protocol_socket  # noqa: F401
 
-    from labdaemon.guardian.watch import main
+    from labdaemon.guardian.heartbeat_monitor import main
 
     sys.exit(main())

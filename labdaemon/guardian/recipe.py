@@ -21,7 +21,7 @@ class PortSetup(NamedTuple):
     xonxoff: bool = False
 
 
-class Exchange(NamedTuple):
+class WireExchange(NamedTuple):
     """Bytes to send, and what is expected back.
 
     Attributes
@@ -68,9 +68,9 @@ class StopRecipe(NamedTuple):
     device: str
     port: str
     setup: PortSetup
-    stop: tuple[Exchange, ...]
-    identify: Exchange | None
-    confirm: tuple[Exchange, ...]
+    stop: tuple[WireExchange, ...]
+    identify: WireExchange | None
+    confirm: tuple[WireExchange, ...]
     line_end: bytes = b"\n"
 
 
@@ -115,9 +115,9 @@ def read_message(line: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _plain(exchange: Exchange) -> dict[str, Any]:
+def _plain(exchange: WireExchange) -> dict[str, Any]:
     return exchange._asdict() | {"send": exchange.send.decode("latin-1")}
 
 
-def _exchange(found: dict[str, Any]) -> Exchange:
-    return Exchange(found["send"].encode("latin-1"), found["answer"], found["at_most"], found["within_s"])
+def _exchange(found: dict[str, Any]) -> WireExchange:
+    return WireExchange(found["send"].encode("latin-1"), found["answer"], found["at_most"], found["within_s"])

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from labdaemon.guardian.recipe import StopRecipe
-from labdaemon.guardian.report import Reporter
-from labdaemon.guardian.wire import NotAtRest, stop_shaker
+from labdaemon.guardian.rescue_reporter import RescueReporter
+from labdaemon.guardian.wire import StopFailure, stop_shaker
 
 TRY_S = 15.0
 """A try that takes longer hangs in the system (a driver that waits for its adapter): it is left and another begins."""
@@ -22,7 +22,7 @@ HAND_OVER_S = 4.0
 EMERGENCY = "THE TABLE IS NOT SEEN AT REST: use the emergency stop"
 
 
-class Outcome(NamedTuple):
+class RescueOutcome(NamedTuple):
     """How a rescue ended.
 
     Attributes
@@ -45,12 +45,12 @@ class Outcome(NamedTuple):
 
 def rescue(
     recipe: StopRecipe,
-    reporter: Reporter,
+    reporter: RescueReporter,
     *,
     patience_s: float,
     is_wanted: Callable[[], bool],
     stop: Callable[[StopRecipe], None] = stop_shaker,
-) -> Outcome:
+) -> RescueOutcome:
     """Stop the table.
 
     Parameters
@@ -67,13 +67,13 @@ def rescue(
         failure = _try(recipe, stop)
         after_s = time.monotonic() - began
         if failure is None:
-            return Outcome(True, tries, after_s, trouble)
+            return RescueOutcome(True, tries, after_s, trouble)
         if not trouble or time.monotonic() >= said + REPEAT_S:
             reporter.say(f"{EMERGENCY} ({recipe.device}: {failure}; try {tries})")
             said = time.monotonic()
         trouble = failure
         if after_s >= patience_s or (after_s >= HAND_OVER_S and is_wanted()):
-            return Outcome(False, tries, after_s, trouble)
+            return RescueOutcome(False, tries, after_s, trouble)
         time.sleep(pause_s)
         pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
@@ -85,7 +85,7 @@ def _try(recipe: StopRecipe, stop: Callable[[StopRecipe], None]) -> str | None:
     def work() -> None:
         try:
             stop(recipe)
-        except NotAtRest as exc:
+        except StopFailure as exc:
             met.append(str(exc))
         except Exception as exc:  # whatever a port raises, the next try must come
             met.append(f"{type(exc).__name__}: {exc}")

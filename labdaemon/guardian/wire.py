@@ -11,7 +11,7 @@ from typing import Protocol
 
 import serial
 
-from labdaemon.guardian.recipe import Exchange, StopRecipe
+from labdaemon.guardian.recipe import StopRecipe, WireExchange
 
 IDENTIFY_TRIES = 5
 CONFIRM_TRIES = 3
@@ -27,11 +27,11 @@ FAULTS = (serial.SerialException, OSError, termios.error, ValueError, TypeError,
 """What pyserial raises for a port that is gone; the last two are its own when a port goes during a call."""
 
 
-class NotAtRest(Exception):
+class StopFailure(Exception):
     """The shaker did not confirm; the text says what it did instead."""
 
 
-class Port(Protocol):
+class SerialPort(Protocol):
     """What is used of pyserial."""
 
     def read(self, size: int = 1) -> bytes:
@@ -47,10 +47,10 @@ class Port(Protocol):
         ...
 
 
-def open_port(recipe: StopRecipe) -> Port:
+def open_port(recipe: StopRecipe) -> SerialPort:
     """Open the shaker's port. No lock is asked for: a stop must not wait for who holds the port."""
     is_rfc2217 = recipe.port.lower().startswith("rfc2217:")
-    port: Port = serial.serial_for_url(
+    port: SerialPort = serial.serial_for_url(
         recipe.port,
         timeout=0.02,
         write_timeout=None if is_rfc2217 else 1.0,  # pyserial's RFC 2217 port has none
@@ -61,37 +61,37 @@ def open_port(recipe: StopRecipe) -> Port:
 
 def stop_shaker(
     recipe: StopRecipe,
-    open_port: Callable[[StopRecipe], Port] = open_port,
+    open_port: Callable[[StopRecipe], SerialPort] = open_port,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """One try: open the port, stop hard, and see the table at rest, twice.
 
     Raises
     ------
-    NotAtRest
+    StopFailure
         The port does not open, the wire is silent, or the shaker says that it is not at rest.
     """
     try:
         port = open_port(recipe)
     except FAULTS as exc:
-        raise NotAtRest(f"port {recipe.port} does not open ({exc})") from exc
+        raise StopFailure(f"port {recipe.port} does not open ({exc})") from exc
     try:
-        wire = _Wire(port, recipe)
+        wire = _ShakerWire(port, recipe)
         wire.stop()
         wire.confirm()
         sleep(RECHECK_S)
         wire.confirm()
     except FAULTS as exc:
-        raise NotAtRest(f"connection on {recipe.port} lost ({exc})") from exc
+        raise StopFailure(f"connection on {recipe.port} lost ({exc})") from exc
     finally:
         with suppress(*FAULTS):  # the other side was faster: there is nothing left to give back
             port.close()
 
 
-class _Wire:
+class _ShakerWire:
     """An open port."""
 
-    def __init__(self, port: Port, recipe: StopRecipe) -> None:
+    def __init__(self, port: SerialPort, recipe: StopRecipe) -> None:
         self._port, self._recipe = port, recipe
         self._buffer = b""
 
@@ -114,7 +114,7 @@ class _Wire:
             if not trouble:
                 return
             self.stop()
-        raise NotAtRest(trouble)
+        raise StopFailure(trouble)
 
     def _unconfirmed(self) -> str:
         """What is answered that is not rest; empty at rest."""
@@ -124,12 +124,12 @@ class _Wire:
             self._port.write(exchange.send)
             answer = self._read_line(exchange.within_s)
             if answer is None:
-                raise NotAtRest(f"no answer on {self._recipe.port}")
+                raise StopFailure(f"no answer on {self._recipe.port}")
             if not is_expected(exchange, answer):
                 return f"answers {answer[:40]!r} to {exchange.send!r}, which is not rest"
         return ""
 
-    def _find_step(self, identify: Exchange) -> None:
+    def _find_step(self, identify: WireExchange) -> None:
         """Ask who is there until the same answer came twice running; acknowledgements are no name."""
         before: str | None = None
         for _ in range(IDENTIFY_TRIES):
@@ -138,11 +138,11 @@ class _Wire:
             while answer is not None and self._is_acknowledgement(answer):
                 answer = self._read_line(identify.within_s)
             if answer is None:
-                raise NotAtRest(f"no answer on {self._recipe.port}")
+                raise StopFailure(f"no answer on {self._recipe.port}")
             if answer == before and not self._buffer:
                 return
             before = answer
-        raise NotAtRest(f"answers out of step on {self._recipe.port} ({(before or '')[:40]!r})")
+        raise StopFailure(f"answers out of step on {self._recipe.port} ({(before or '')[:40]!r})")
 
     def _is_acknowledgement(self, answer: str) -> bool:
         expected = [exchange for exchange in self._recipe.stop if exchange.answer is not None]
@@ -167,7 +167,7 @@ class _Wire:
                 self._buffer += self._port.read(waiting)
 
 
-def is_expected(exchange: Exchange, answer: str) -> bool:
+def is_expected(exchange: WireExchange, answer: str) -> bool:
     """Whether an answer is the expected one."""
     if exchange.answer is not None and not re.fullmatch(exchange.answer, answer, re.IGNORECASE):
         return False

@@ -9,7 +9,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class StoredEvent:
     """One line of a journal's history.
 
     Attributes
@@ -66,7 +66,7 @@ class EventText:
     Attributes
     ----------
     seq, kind
-        As in `Event`.
+        As in `StoredEvent`.
     json
         The whole event as UTF-8 JSON.
     """

@@ -1,6 +1,6 @@
 """Frames on disk: written as ``.part``, synced, renamed, their folder synced, and only then vouched for.
 
-Whoever finds a file under its final name can trust it to be whole; whatever ends in ``.part`` is an accident's trace.
+A file under its final name can be trusted to be whole; one that ends in ``.part`` is left from an interrupted copy.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def _digest(path: Path) -> str:
 
 
 def remove_parts(root: Path) -> list[Path]:
-    """Remove every ``.part`` under `root` and tell which they were.
+    """Remove every ``.part`` under `root` and return their paths.
 
     After a power cut a part's length may promise bytes that never reached the disk, so none is gone on with.
     """

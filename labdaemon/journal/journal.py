@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import knows_sync, sync_folder
-from labdaemon.journal.event import Event, EventText, event_text, within
+from labdaemon.journal.event import EventText, StoredEvent, event_text, within
 from labdaemon.journal.schema import APPLICATION_ID, CARD_TABLES, LATER_INDEX, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 from labdaemon.plain_json import dump_json, plain_text
@@ -119,12 +119,12 @@ class Journal:
         """`seq` of the latest committed event, 0 before the first."""
         return self._last_seq
 
-    def events_after(self, seq: int, limit: int) -> list[Event]:
+    def events_after(self, seq: int, limit: int) -> list[StoredEvent]:
         """Committed events with a `seq` greater than this one, in order, at most `limit`."""
         rows = self.read(
             "SELECT seq, at, kind, campaign, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?", seq, limit
         )
-        return [Event(row[0], row[1], row[2], row[3], json.loads(row[4]), self.uuid) for row in rows]
+        return [StoredEvent(row[0], row[1], row[2], row[3], json.loads(row[4]), self.uuid) for row in rows]
 
     def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
         """Events after this `seq` as they travel, at most `limit` and, from the second on, `most_bytes`; quick."""
@@ -176,7 +176,7 @@ class Journal:
     def transaction(self, name: str) -> Iterator[Transaction]:
         """Write rows and events together or not at all; synced to the disk when the block is left.
 
-        `name` names the transition for listeners, which hear of it after the commit.
+        `name` names the transition for listeners, which are called after the commit.
         """
         with self._write_lock:
             transaction = Transaction(self._writer, rfc3339(self._clock.now()), self._last_seq)

@@ -1,6 +1,6 @@
 """The journal's tables, and which version of them this program reads.
 
-States change only together with the event that tells of it (see `labdaemon.journal.transitions`), so whoever has read
+States change only together with the event that reports it (see `labdaemon.journal.transitions`), so whoever has read
 all events knows the state, and a crash can leave neither without the other.
 """
 

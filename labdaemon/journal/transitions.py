@@ -1,4 +1,4 @@
-"""Every change of state, each in one transaction with the event that tells of it.
+"""Every change of state, each in one transaction with the event that reports it.
 
 The transitions' names (first argument of `Journal.transaction`) are what crash tests kill the daemon at.
 """
@@ -65,20 +65,20 @@ def open_manual(journal: Journal) -> str:
 def move_campaign(
     journal: Journal, /, campaign: str, state: CampaignState, reason: str | None = None, **data: Any
 ) -> bool:
-    """Put a campaign into another state; running again is told as ``campaign.resumed``.
+    """Put a campaign into another state; running again is reported as ``campaign.resumed``.
 
     Returns
     -------
     bool
-        False, and nothing changed, if it is in a state from which there is no way there: somebody was faster.
+        False, and nothing changed, if it is in a state from which there is no way there: another request was faster.
     """
     kind = CAMPAIGN_EVENTS[state]
     with journal.transaction(kind) as write:
         before = write.execute("SELECT state FROM campaigns WHERE id = ?", campaign).fetchone()[0]
         if before not in WAYS_TO[state]:
             return False
-        told = write.execute("SELECT 1 FROM events WHERE campaign = ? AND kind = ?", campaign, kind).fetchone()
-        if state == "running" and told is not None:
+        reported = write.execute("SELECT 1 FROM events WHERE campaign = ? AND kind = ?", campaign, kind).fetchone()
+        if state == "running" and reported is not None:
             kind = "campaign.resumed"
         write.execute("UPDATE campaigns SET state = ?, reason = ? WHERE id = ?", state, reason, campaign)
         _emit(write, kind, campaign, {**data, **({"reason": reason} if reason else {})})
@@ -251,7 +251,7 @@ def complete_capture(journal: Journal, campaign: str, name: str, data: Mapping[s
 
 
 def discard_capture(journal: Journal, campaign: str, name: str, reason: str, moved: Mapping[str, str]) -> None:
-    """Give a capture up; `moved` tells the new paths of its frames, which are set aside and kept."""
+    """Give a capture up; `moved` maps the paths of its frames to new ones: they are set aside and kept."""
     with journal.transaction("capture.discarded") as write:
         write.execute(
             "UPDATE captures SET state = 'discarded', reason = ? WHERE campaign = ? AND name = ?",
@@ -319,7 +319,7 @@ def give_up_measuring(
 
 
 def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> None:
-    """Tell of a fault; `data` says on which device, what happened and what is done about it."""
+    """Report a fault; `data` says on which device, what happened and what is done about it."""
     with journal.transaction("fault") as write:
         _emit(write, "fault", campaign, data)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from labdaemon.campaign.manual_request import ManualRequest, is_group_name
 from labdaemon.service.command_parameters import CommandParameters
-from labdaemon.stream.messages import InvalidParams
+from labdaemon.stream.messages import InvalidParamsError
 
 MAX_TEXT = 200
 """Characters of a label, a group or a request's id."""
@@ -21,7 +21,7 @@ def capture_request(params: dict[str, Any]) -> ManualRequest:
 
     Raises
     ------
-    InvalidParams
+    InvalidParamsError
         Names the one that is unknown, of the wrong type, out of range, or makes no sense with the others.
     """
     given = CommandParameters(
@@ -37,9 +37,9 @@ def capture_request(params: dict[str, Any]) -> ManualRequest:
     )
     group, is_sharp = given.optional_text("group", longest=MAX_TEXT), given.flag("sharp")
     if group is not None and not is_group_name(group):
-        raise InvalidParams(f"group {group[:40]!r} cannot name a result; use letters, digits, spaces, - and _")
+        raise InvalidParamsError(f"group {group[:40]!r} cannot name a result; use letters, digits, spaces, - and _")
     if group is not None and is_sharp:
-        raise InvalidParams("group is of blurred captures; a sharp one has none")
+        raise InvalidParamsError("group is of blurred captures; a sharp one has none")
     return ManualRequest(
         label=given.text("label", default="", longest=MAX_TEXT),
         is_sharp=is_sharp,

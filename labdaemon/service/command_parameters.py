@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labdaemon.stream.messages import InvalidParams
+from labdaemon.stream.messages import InvalidParamsError
 from labdaemon.stream.text_limits import shown
 from labdaemon.tomlfile import nearest
 
@@ -21,7 +21,7 @@ class CommandParameters:
 
     Raises
     ------
-    InvalidParams
+    InvalidParamsError
         One has another name.
     """
 
@@ -30,7 +30,7 @@ class CommandParameters:
             if name not in known:
                 near = nearest(name[:40], list(known))
                 hint = f"did you mean {near}?" if near else f"known are {', '.join(known) or 'none'}"
-                raise InvalidParams(f"unknown parameter {shown(name)}; {hint}")
+                raise InvalidParamsError(f"unknown parameter {shown(name)}; {hint}")
         self._params = params
 
     def text(self, name: str, *, longest: int, default: str | None = None) -> str:
@@ -38,14 +38,14 @@ class CommandParameters:
 
         Raises
         ------
-        InvalidParams
+        InvalidParamsError
             It is missing, no text, or too long.
         """
         value = self._params.get(name)
         if value is None:
             value = default
         if not isinstance(value, str) or len(value) > longest:
-            raise InvalidParams(f"{name} is a text of at most {longest} characters")
+            raise InvalidParamsError(f"{name} is a text of at most {longest} characters")
         return value
 
     def optional_text(self, name: str, *, longest: int) -> str | None:
@@ -57,12 +57,12 @@ class CommandParameters:
 
         Raises
         ------
-        InvalidParams
+        InvalidParamsError
             It is something else.
         """
         value = self._params.get(name)
         if value is not None and not isinstance(value, bool):
-            raise InvalidParams(f"{name} is true or false, not {shown(value)}")
+            raise InvalidParamsError(f"{name} is true or false, not {shown(value)}")
         return bool(value)
 
     def number(self, name: str, *, least: float, most: float) -> float | None:
@@ -70,12 +70,12 @@ class CommandParameters:
 
         Raises
         ------
-        InvalidParams
+        InvalidParamsError
             It is no number, or outside.
         """
         value = self._params.get(name)
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-            raise InvalidParams(f"{name} is a number from {least:g} to {most:g}, not {shown(value)}")
+            raise InvalidParamsError(f"{name} is a number from {least:g} to {most:g}, not {shown(value)}")
         return float(value)

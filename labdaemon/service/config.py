@@ -22,7 +22,7 @@ from labdaemon.tomlfile import nearest, parse_model, read_toml
 RAW_BYTES_A_PIXEL = 2
 """An uncompressed 16-bit mosaic, the largest that a frame can be; bodies that compress need less."""
 DEFAULT_IMAGE_SIZE = (6000, 4000)
-"""Assumed for disk use when a camera's section does not tell."""
+"""Assumed for disk use when a camera's section has none."""
 BUILT_IN = {"trigger": {"camera"}}
 """Drivers that are the daemon itself: frames that arrive are the trigger."""
 
@@ -173,7 +173,7 @@ def find_driver(kind: str, driver: str) -> EntryPoint:
     Raises
     ------
     ConfigError
-        None is installed under this name; tells which are.
+        None is installed under this name; the message names those that are.
     """
     installed = entry_points(group=f"labdaemon.{kind}s")
     if driver in installed.names:

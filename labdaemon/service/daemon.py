@@ -190,7 +190,7 @@ async def _run_with_table(
             try:
                 await table.stop()  # what it raises is how the process ends, whatever came before
             finally:
-                atexit.unregister(last_resort)  # all that it does was tried; a guardian goes on trying
+                atexit.unregister(last_resort)  # all that it does was tried; a guardian still tries
                 await rig.close()
 
 

@@ -11,7 +11,7 @@ from labdaemon.errors import LabdaemonError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.stream.commands import Handler
-from labdaemon.stream.messages import WrongState
+from labdaemon.stream.messages import WrongStateError
 
 PATIENCE_S = 20.0
 """How long a command waits for the daemon to have started; a client that asked as it did is not refused."""
@@ -43,7 +43,7 @@ class DeferredCommands:
         self._opened = asyncio.Event()
         self._handlers: dict[str, Handler] = {}
         self._early: dict[str, Handler] = {}
-        self._refusal: Callable[[], LabdaemonError] = lambda: WrongState("the daemon is starting")
+        self._refusal: Callable[[], LabdaemonError] = lambda: WrongStateError("the daemon is starting")
         self._journal: Journal | None = None
 
     def offer(self, handlers: dict[str, Handler], refusal: Callable[[], LabdaemonError] | None = None) -> None:

@@ -55,7 +55,7 @@ def camera_overrides(config: RigConfig) -> dict[str, CameraOverrides]:
 async def connect_stop_actuators(rig: Rig) -> dict[str, str]:
     """Reach whatever can stop the table, shaker and trigger, and return their identities; starts nothing.
 
-    One that does not answer is left out: whoever keeps the table goes on trying to reach it.
+    One that does not answer is left out: the part that keeps the table tries on to reach it.
     """
     found: dict[str, str] = {}
     for name, device in (("trigger", rig.trigger), ("shaker", rig.shaker)):
@@ -72,9 +72,9 @@ async def connect_others(rig: Rig) -> dict[str, str]:
     """Reach gauges and cameras at once, and return their identities."""
     gauges = [gauge.call(lambda driver: driver.connect(), CONNECT_S) for gauge in rig.gauges]
     cameras = [camera.call(lambda driver: driver.connect(), CONNECT_S) for camera in rig.cameras.values()]
-    told = await asyncio.gather(*gauges)
+    answers = await asyncio.gather(*gauges)
     seen = await asyncio.gather(*cameras)
-    found = {gauge.driver.name: identity for gauge, identity in zip(rig.gauges, told, strict=True)}
+    found = {gauge.driver.name: identity for gauge, identity in zip(rig.gauges, answers, strict=True)}
     for name, info in zip(rig.cameras, seen, strict=True):
         found[name] = f"{info.manufacturer} {info.model} {info.serial}"
     return found

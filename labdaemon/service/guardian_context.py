@@ -87,7 +87,7 @@ def wait_for_guardian(port: str) -> None:
     log.warning("a guardian (process %s) is bringing the table to rest; waiting for it", holder.pid)
     if holder.pid is not None:
         with suppress(ProcessLookupError, PermissionError):
-            os.kill(holder.pid, signal.SIGUSR1)  # `labdaemon.guardian.watch.HAND_OVER`
+            os.kill(holder.pid, signal.SIGUSR1)  # `labdaemon.guardian.heartbeat_monitor.HAND_OVER`
     if wait_free(port, "guardian", WAIT_S) is not None:
         log.critical("the guardian (process %s) is still at it after %g s; going on", holder.pid, WAIT_S)
 

@@ -14,7 +14,7 @@ from typing import Any
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError
 from labdaemon.guardian.recipe import StopRecipe, read_message
-from labdaemon.guardian.silence import Silence, now
+from labdaemon.guardian.silence_timer import SilenceTimer, now
 from labdaemon.service.guardian_process import GuardianProcess, GuardianSettings
 
 log = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class GuardianSupervisor:
         self._recipe, self._settings, self._clock, self._may_move = recipe, settings, clock, may_move
         self._process: GuardianProcess | None = None
         self._launching: asyncio.Task[GuardianProcess] | None = None
-        self._silence = Silence(now())
+        self._silence = SilenceTimer(now())
         self._beats, self._rest, self._hears = 0, b"", False
         self.on_lost: Callable[[str], None] = lambda reason: log.warning("%s", reason)
         self.longest_s = 0.0
@@ -77,7 +77,7 @@ class GuardianSupervisor:
         self._launching = asyncio.create_task(asyncio.to_thread(GuardianProcess, self._recipe, self._settings))
         process = await asyncio.shield(self._launching)
         self._launching = None
-        self._process, self._silence, self._rest, self._hears = process, Silence(now()), b"", False
+        self._process, self._silence, self._rest, self._hears = process, SilenceTimer(now()), b"", False
         self._send({"beat": self._beats, "moving": self._may_move()})
         end_s = self._clock.monotonic() + START_S
         while not self._hears:
@@ -123,7 +123,7 @@ class GuardianSupervisor:
         await asyncio.to_thread(process.wait)
 
     def leave(self) -> None:
-        """The daemon ends with a table that was not seen to rest: the guardian goes on when this process is gone.
+        """The daemon ends with a table that was not seen to rest: the guardian continues when this process is gone.
 
         Its pipe stays open until then: closed any earlier, it would end us before our exit status says what is wrong.
         """

@@ -23,7 +23,7 @@ class PoolMeasurer:
     Parameters
     ----------
     pool
-        The workers; they are given paths, not pictures.
+        The workers; they get paths, not images.
     """
 
     def __init__(self, pool: WorkerPool) -> None:

@@ -1,7 +1,7 @@
 """The table to rest without a daemon, and before one: needs [shaker] and [trigger] of the rig file and nothing else.
 
 `safe-stop` is what a person types, and what systemd runs after the daemon however it ended. `run` does the same before
-it reads the rest of its rig file. Beside a daemon that lives, `safe-stop` asks that one to stop.
+it reads the rest of its rig file. While a daemon lives, `safe-stop` asks it to stop.
 """
 
 from __future__ import annotations

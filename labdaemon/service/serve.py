@@ -37,7 +37,7 @@ from labdaemon.service.status import status_of
 from labdaemon.service.supervise import as_failure, supervise
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.commands import Handler
-from labdaemon.stream.events import EventPublisher, latest, replay
+from labdaemon.stream.publisher import EventPublisher, latest, replay
 
 log = logging.getLogger(__name__)
 

@@ -229,7 +229,7 @@ def lock_holder(port: str, role: Role) -> LockHolder | None:
 
 
 def wait_free(port: str, role: Role, timeout_s: float) -> LockHolder | None:
-    """Wait until nobody holds the lock; who still does after `timeout_s` seconds, None if it is free."""
+    """Wait until the lock is free; who still holds it after `timeout_s` seconds, None if it is free."""
     end_s = time.monotonic() + timeout_s
     while (holder := lock_holder(port, role)) is not None and time.monotonic() < end_s:
         time.sleep(POLL_S)

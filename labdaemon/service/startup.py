@@ -26,7 +26,7 @@ from labdaemon.journal.storage import JournalError
 from labdaemon.off_loop import off_loop
 from labdaemon.service.devices import CONNECT_S
 from labdaemon.stream.commands import Handler
-from labdaemon.stream.messages import WrongState
+from labdaemon.stream.messages import WrongStateError
 
 T = TypeVar("T")
 
@@ -50,7 +50,7 @@ ExposureSteps = dict[str, tuple[float, ...]]
 
 
 class EndRequest(Exception):
-    """Somebody wants the daemon to end while it still waits."""
+    """A person or systemd ends the daemon while it still waits."""
 
 
 @dataclass(slots=True)
@@ -62,7 +62,7 @@ class StartupSequence:
     place
         Which daemon this is, for ``status``.
     end
-        Exit status, set when somebody wants it to end.
+        Exit status, set when a person or systemd ends it.
     parts
         Tasks that run already; an error of theirs ends the wait.
     waiting_for
@@ -117,7 +117,7 @@ class StartupSequence:
         for name, why in self.waiting_for.items():
             if name != DATA:
                 return DeviceError(f"the daemon waits for it and serves when it is there ({why})", device=name)
-        return WrongState(f"the daemon is starting ({self.waiting_for.get(DATA, 'a moment')})")
+        return WrongStateError(f"the daemon is starting ({self.waiting_for.get(DATA, 'a moment')})")
 
     async def open_journal(self, folder: Path, replace_damaged: bool) -> Journal:
         """The journal of a data folder, as soon as there is a disk that takes it.

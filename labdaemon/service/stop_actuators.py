@@ -49,7 +49,7 @@ class StopActuators:
 
 
 def read_stop_actuators(path: Path, *, exclusive: bool = True) -> StopActuators:
-    """Read what stops the table from a rig file, whatever else is wrong with it.
+    """Read what stops the table from a rig file, even where the rest of it is wrong.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _salvage(lines: list[str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _is_open(lines: list[str]) -> bool:
-    """Whether a value goes on in the next line: brackets or a long text that have not ended."""
+    """Whether a value continues in the next line: brackets or a long text that have not ended."""
     text = "\n".join(lines)
     return text.count("[") > text.count("]") or text.count('"""') % 2 == 1 or text.count("'''") % 2 == 1
 

@@ -20,7 +20,7 @@ DEFAULT_PERIOD_S = 20.0
 
 
 def notify(message: str, environment: Mapping[str, str] | None = None) -> bool:
-    """Send one state to systemd; False where nobody listens.
+    """Send one state to systemd; False where no socket listens.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ async def feed(
         Each says whether its part has advanced since it was last asked; one that does not return starves the watchdog
         just as well.
     stalled
-        Told the names of those that have not. systemd then does the rest.
+        Called with the names of those that have not. systemd then does the rest.
     """
     period_s = period_s if period_s is not None else watchdog_period_s() or DEFAULT_PERIOD_S
     while True:

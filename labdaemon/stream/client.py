@@ -36,7 +36,7 @@ HIGH_WATER = 10_000
 
 
 class NoDaemon(LabdaemonError):
-    """Nobody answers at the address."""
+    """No daemon answers at the address."""
 
     retryable = True
 
@@ -49,7 +49,7 @@ class RemoteError(LabdaemonError):
     code, name
         Of the answer, as -32002 and ``limits``.
     data
-        What else it told.
+        What it sent with the error.
     """
 
     def __init__(self, error: dict[str, Any]) -> None:
@@ -62,7 +62,7 @@ class RemoteError(LabdaemonError):
 
 
 class JournalChanged(LabdaemonError):
-    """The daemon writes another history than before; the stream goes on from that one's beginning."""
+    """The daemon writes another history than before; the stream continues from that one's beginning."""
 
     def __init__(self, before: str, now: str) -> None:
         self.before, self.now = before, now
@@ -77,7 +77,7 @@ class Client:
     commands, events
         Its addresses.
     timeout_s
-        How long a command may take, unless `call` is told otherwise.
+        How long a command may take, unless `call` gets another limit.
     """
 
     def __init__(self, commands: str = COMMANDS, events: str = EVENTS, *, timeout_s: float = 10.0) -> None:
@@ -232,7 +232,7 @@ class EventStream:
         Raises
         ------
         JournalChanged
-            Once for each change; the next call goes on from the new history's beginning.
+            Once for each change; the next call continues from the new history's beginning.
         NoDaemon
             A gap could not be filled; the next call tries again.
         """

@@ -1,4 +1,4 @@
-"""Commands in: one JSON-RPC request a message, each answered once, whatever else is going on.
+"""Commands in: one JSON-RPC request a message, each answered once, however busy the daemon is.
 
 Hostile or broken peers cost a bounded amount: frames beyond 1 MiB end the connection, what is no request is answered
 with the reason, and no more than `MAX_IN_PROGRESS` commands are worked on at a time, `MAX_OF_ONE` of them one client's
@@ -20,16 +20,16 @@ import zmq.asyncio
 from labdaemon.errors import ConfigError, DeviceError, LabdaemonError, RestUnconfirmed
 from labdaemon.off_loop import off_loop
 from labdaemon.stream import messages
-from labdaemon.stream.gate import Gate
-from labdaemon.stream.messages import BadRequest, InvalidParams, Request
+from labdaemon.stream.messages import BadRequestError, InvalidParamsError, RpcRequest
+from labdaemon.stream.peer_gate import PeerGate
 from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
 from labdaemon.stream.text_limits import INLINE_BYTES, shown
-from labdaemon.stream.unread import LARGE_BYTES, UnreadAnswers
+from labdaemon.stream.unread_answers import LARGE_BYTES, UnreadAnswers
 
 Handler = Callable[[dict[str, Any]], Awaitable[Any]]
 """Takes the params, returns the result, raises a `LabdaemonError`."""
 
-Envelope = tuple[bytes, ...]
+ReturnRoute = tuple[bytes, ...]
 """Frames that an answer begins with: the client's identity, and a REQ's delimiter."""
 
 IDEMPOTENT = frozenset({"campaign.submit", "capture"})
@@ -96,7 +96,7 @@ class CommandServer:
         self._turn = asyncio.Lock()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
-        self._gate: Gate | None = None
+        self._gate: PeerGate | None = None
 
     def bind(self) -> None:
         """Take the address.
@@ -140,38 +140,38 @@ class CommandServer:
     async def _receive(self, frames: list[zmq.Frame]) -> None:
         """Read one message and start on it. Its envelope (a REQ has an empty delimiter) is mirrored."""
         parts = [frame.bytes for frame in frames[:4]]
-        envelope = tuple(parts[:2] if len(parts) > 2 and not parts[1] else parts[:1])
-        body = parts[len(envelope) :]
+        route = tuple(parts[:2] if len(parts) > 2 and not parts[1] else parts[:1])
+        body = parts[len(route) :]
         if len(body) == 1 and len(body[0]) > INLINE_BYTES:
-            if self._is_full(envelope):
-                await self._reply(envelope, messages.error_bytes(messages.BUSY, TOO_MANY, None))
+            if self._is_full(route):
+                await self._reply(route, messages.error_bytes(messages.BUSY, TOO_MANY, None))
             else:
-                self._start(envelope, self._parse_and_answer(envelope, body[0]))
+                self._start(route, self._parse_and_answer(route, body[0]))
             return
         try:
             if len(body) != 1:
-                raise BadRequest(messages.INVALID_REQUEST, "a request is one frame")
+                raise BadRequestError(messages.INVALID_REQUEST, "a request is one frame")
             request = messages.parse_request(body[0])
-        except BadRequest as exc:
-            await self._reply(envelope, messages.error_bytes(exc.code, str(exc), exc.id))
+        except BadRequestError as exc:
+            await self._reply(route, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        if self._is_full(envelope, request.method in LARGE) and request.method not in ALWAYS:
-            await self._reply(envelope, messages.error_bytes(messages.BUSY, TOO_MANY, request.id))
+        if self._is_full(route, request.method in LARGE) and request.method not in ALWAYS:
+            await self._reply(route, messages.error_bytes(messages.BUSY, TOO_MANY, request.id))
             return
-        self._start(envelope, self._answer(envelope, request), is_large=request.method in LARGE)
+        self._start(route, self._answer(route, request), is_large=request.method in LARGE)
 
-    def _is_full(self, envelope: Envelope, is_large: bool = False) -> bool:
+    def _is_full(self, route: ReturnRoute, is_large: bool = False) -> bool:
         """Whether a command has no place. Those with large answers may wait long, and take no other's."""
         queued = len(self._large) if is_large else len(self._tasks) - len(self._large)
-        return queued >= MAX_IN_PROGRESS or self._of_client[envelope[0]] >= MAX_OF_ONE
+        return queued >= MAX_IN_PROGRESS or self._of_client[route[0]] >= MAX_OF_ONE
 
-    def _start(self, envelope: Envelope, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
+    def _start(self, route: ReturnRoute, work: Coroutine[Any, Any, None], *, is_large: bool = False) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         if is_large:
             self._large.add(task)
-        self._of_client[envelope[0]] += 1
-        task.add_done_callback(partial(self._forget, envelope[0]))
+        self._of_client[route[0]] += 1
+        task.add_done_callback(partial(self._forget, route[0]))
 
     def _forget(self, client: bytes, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
@@ -182,42 +182,42 @@ class CommandServer:
         if not task.cancelled() and task.exception() is not None:
             log.error("an answer could not be sent", exc_info=task.exception())
 
-    async def _parse_and_answer(self, envelope: Envelope, body: bytes) -> None:
+    async def _parse_and_answer(self, route: ReturnRoute, body: bytes) -> None:
         """A long request, a campaign most likely: parsed off the event loop."""
         try:
             request = await off_loop(messages.parse_request, body)
-        except BadRequest as exc:
-            await self._reply(envelope, messages.error_bytes(exc.code, str(exc), exc.id))
+        except BadRequestError as exc:
+            await self._reply(route, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        await self._answer(envelope, request)
+        await self._answer(route, request)
 
-    async def _answer(self, envelope: Envelope, request: Request) -> None:
+    async def _answer(self, route: ReturnRoute, request: RpcRequest) -> None:
         if request.method not in LARGE:
-            await self._reply_to(envelope, request, await self._outcome(request))
+            await self._reply_to(route, request, await self._outcome(request))
             return
         while True:
-            if not await self._unread.wait_for_room(envelope[0]):
+            if not await self._unread.wait_for_room(route[0]):
                 busy = messages.error_bytes(messages.BUSY, "read the earlier answers first; try again", request.id)
-                await self._reply_to(envelope, request, busy)
+                await self._reply_to(route, request, busy)
                 return
             async with self._turn:
-                if self._unread.has_room(envelope[0]):  # another answer of this client may have taken it meanwhile
-                    await self._reply_to(envelope, request, await self._outcome(request))
+                if self._unread.has_room(route[0]):  # another answer of this client may have taken it meanwhile
+                    await self._reply_to(route, request, await self._outcome(request))
                     return
 
-    async def _reply_to(self, envelope: Envelope, request: Request, answer: bytes) -> None:
+    async def _reply_to(self, route: ReturnRoute, request: RpcRequest, answer: bytes) -> None:
         if not request.is_notification:
-            await self._reply(envelope, answer)
+            await self._reply(route, answer)
 
-    async def _reply(self, envelope: Envelope, answer: bytes) -> None:
+    async def _reply(self, route: ReturnRoute, answer: bytes) -> None:
         if len(answer) < LARGE_BYTES:
-            await self._bound.send_multipart([*envelope, answer])
+            await self._bound.send_multipart([*route, answer])
             return
         # Not copied, and tracked: libzmq holds it until the peer has read, and what one may make it hold is bounded.
-        parts = [*envelope, zmq.Frame(answer, track=True)]
+        parts = [*route, zmq.Frame(answer, track=True)]
         tracker = await self._bound.send_multipart(parts, copy=False, track=True)
         if tracker is not None:
-            self._unread.add(envelope[0], len(answer), tracker)
+            self._unread.add(route[0], len(answer), tracker)
 
     @property
     def _bound(self) -> zmq.asyncio.Socket:
@@ -225,7 +225,7 @@ class CommandServer:
             raise RuntimeError("bind comes before run")
         return self._socket
 
-    async def _outcome(self, request: Request) -> bytes:
+    async def _outcome(self, request: RpcRequest) -> bytes:
         """The answer, whatever happens: no kind of exception may leave a client without one."""
         try:
             async with asyncio.timeout(COMMAND_S):
@@ -242,7 +242,7 @@ class CommandServer:
             log.error("command %s failed", request.method, exc_info=exc)
             return messages.error_bytes(messages.INTERNAL_ERROR, "the daemon failed; see its log", request.id)
 
-    async def _do(self, request: Request) -> Any:
+    async def _do(self, request: RpcRequest) -> Any:
         handler = self._handlers.get(request.method)
         if handler is None:
             raise UnknownMethod
@@ -250,7 +250,7 @@ class CommandServer:
         if request.method not in IDEMPOTENT or request_id is None:
             return await handler(request.params)
         if not isinstance(request_id, str) or not 0 < len(request_id) <= 200:
-            raise InvalidParams("request_id is a string of 1 to 200 characters")
+            raise InvalidParamsError("request_id is a string of 1 to 200 characters")
         return await self._do_once(request_id, handler, request.params)
 
     async def _do_once(self, request_id: str, handler: Handler, params: dict[str, Any]) -> Any:
@@ -274,7 +274,7 @@ class UnknownMethod(Exception):
 
 
 def _details(error: LabdaemonError) -> dict[str, Any]:
-    """What a program may want of an error besides its sentence."""
+    """Members of an error for programs; its sentence is for people."""
     if isinstance(error, ConfigError) and error.key is not None:
         return {"key": error.key}
     if isinstance(error, DeviceError) and error.device is not None:

@@ -1,6 +1,6 @@
 """Commands as they travel: JSON-RPC 2.0 without batches, and how our errors become its codes and back.
 
-A request is one frame of UTF-8 JSON. Members that nobody knows are ignored, so that a newer client can talk to an
+A request is one frame of UTF-8 JSON. Unknown members are ignored, so that a newer client can talk to an
 older daemon. Numbers that JSON does not have (NaN, infinities, a float beyond double range) are refused.
 """
 
@@ -53,38 +53,38 @@ class CommandError(LabdaemonError):
     code: ClassVar[int] = INTERNAL_ERROR
 
 
-class Busy(CommandError):
+class BusyError(CommandError):
     """Something else has to end first."""
 
     code = BUSY
     retryable = True
 
 
-class Forbidden(CommandError):
+class ForbiddenError(CommandError):
     """The client may not."""
 
     code = FORBIDDEN
 
 
-class NotFound(CommandError):
+class NotFoundError(CommandError):
     """What the command names does not exist."""
 
     code = NOT_FOUND
 
 
-class WrongState(CommandError):
+class WrongStateError(CommandError):
     """The campaign or the rig is not in a state for it."""
 
     code = WRONG_STATE
 
 
-class InvalidParams(CommandError):
+class InvalidParamsError(CommandError):
     """Parameters are missing, of a wrong type or out of range."""
 
     code = INVALID_PARAMS
 
 
-class BadRequest(Exception):
+class BadRequestError(Exception):
     """A frame that is no request.
 
     Attributes
@@ -101,7 +101,7 @@ class BadRequest(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class RpcRequest:
     """A command as it came.
 
     Attributes
@@ -118,41 +118,41 @@ class Request:
     is_notification: bool
 
 
-def parse_request(frame: bytes) -> Request:
+def parse_request(frame: bytes) -> RpcRequest:
     """Read one frame.
 
     Raises
     ------
-    BadRequest
+    BadRequestError
         Not JSON, or JSON that is no request.
     """
     try:
         document = parse_json(frame)
     except ValueError as exc:
-        raise BadRequest(PARSE_ERROR, f"not JSON: {shown(exc, 200)}") from None
+        raise BadRequestError(PARSE_ERROR, f"not JSON: {shown(exc, 200)}") from None
     if isinstance(document, list):
-        raise BadRequest(INVALID_REQUEST, "batches are not supported; send one request a message")
+        raise BadRequestError(INVALID_REQUEST, "batches are not supported; send one request a message")
     if not isinstance(document, dict):
-        raise BadRequest(INVALID_REQUEST, "a request is a JSON object")
+        raise BadRequestError(INVALID_REQUEST, "a request is a JSON object")
     request_id = document.get("id")
     if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
-        raise BadRequest(INVALID_REQUEST, "id is a string, a number or null")
+        raise BadRequestError(INVALID_REQUEST, "id is a string, a number or null")
     if request_id is not None and not (len(str(request_id)) <= MAX_ID and is_text(str(request_id))):
-        raise BadRequest(INVALID_REQUEST, f"id is a text or a number of at most {MAX_ID} characters")
+        raise BadRequestError(INVALID_REQUEST, f"id is a text or a number of at most {MAX_ID} characters")
     if document.get("jsonrpc") != "2.0":
-        raise BadRequest(INVALID_REQUEST, 'jsonrpc is "2.0"', request_id)
+        raise BadRequestError(INVALID_REQUEST, 'jsonrpc is "2.0"', request_id)
     method, params = document.get("method"), document.get("params", {})
     if not isinstance(method, str):
-        raise BadRequest(INVALID_REQUEST, "method is a string", request_id)
+        raise BadRequestError(INVALID_REQUEST, "method is a string", request_id)
     if not isinstance(params, dict | list):
-        raise BadRequest(INVALID_REQUEST, "params is an object", request_id)
+        raise BadRequestError(INVALID_REQUEST, "params is an object", request_id)
     if isinstance(params, list):
         if params:
-            raise BadRequest(INVALID_PARAMS, "params go by name: send an object", request_id)
+            raise BadRequestError(INVALID_PARAMS, "params go by name: send an object", request_id)
         params = {}
     if (where := surrogate_in(params)) is not None:
-        raise BadRequest(INVALID_PARAMS, f"{shown(where)} is no text: it has half a surrogate pair", request_id)
-    return Request(method, params, request_id, "id" not in document)
+        raise BadRequestError(INVALID_PARAMS, f"{shown(where)} is no text: it has half a surrogate pair", request_id)
+    return RpcRequest(method, params, request_id, "id" not in document)
 
 
 def request_bytes(method: str, params: dict[str, Any], request_id: RequestId) -> bytes:
@@ -188,13 +188,13 @@ def result_bytes(result: Any, request_id: RequestId) -> bytes:
 
 
 def error_bytes(code: int, message: str, request_id: RequestId, **data: Any) -> bytes:
-    """The answer to a command that was not done; `data` goes beside the code's name."""
+    """The answer to a command that was not done; `data` is sent with the code's name."""
     error = {"code": code, "message": message, "data": {"name": NAMES.get(code, "error"), **data}}
     return dump_json({"jsonrpc": "2.0", "id": request_id, "error": error}).encode()
 
 
 def code_of(error: LabdaemonError) -> int:
-    """Which code tells a client about this error: by who is at fault."""
+    """The code that a client gets for this error: by who is at fault."""
     match error:
         case CommandError():
             return error.code

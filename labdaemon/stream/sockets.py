@@ -8,7 +8,7 @@ import zmq
 import zmq.asyncio
 
 from labdaemon.errors import ConfigError
-from labdaemon.stream.gate import BACKLOG, Gate, inner_address
+from labdaemon.stream.peer_gate import BACKLOG, PeerGate, inner_address
 from labdaemon.stream.zmtp import PeerLimits
 
 MAX_FRAME_BYTES = 1 << 20
@@ -30,7 +30,7 @@ LINGER_MS = 500
 
 def bind(
     context: zmq.asyncio.Context, kind: int, address: str, *, key: str, high_water: int
-) -> tuple[zmq.asyncio.Socket, Gate]:
+) -> tuple[zmq.asyncio.Socket, PeerGate]:
     """A bound socket, and the gate through which its peers come once that is opened.
 
     Parameters
@@ -52,7 +52,7 @@ def bind(
     is_commands = kind == zmq.ROUTER
     inner = inner_address()
     try:
-        gate = Gate(address, inner, COMMANDS_LIMITS if is_commands else EVENTS_LIMITS, evicts_idle=is_commands)
+        gate = PeerGate(address, inner, COMMANDS_LIMITS if is_commands else EVENTS_LIMITS, evicts_idle=is_commands)
     except (OSError, ValueError, OverflowError) as exc:
         if getattr(exc, "errno", None) == errno.EADDRINUSE:
             message = f"{address} is taken, most likely by a daemon that runs already; stop it or choose another port"

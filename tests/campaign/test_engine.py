@@ -14,7 +14,7 @@ from labdaemon.campaign.manual_request import ManualRequest
 from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.errors import LimitError
 from labdaemon.journal import records
-from labdaemon.stream.messages import Busy, NotFound, WrongState
+from labdaemon.stream.messages import BusyError, NotFoundError, WrongStateError
 from labdaemon.testing.lab import FakeLab
 
 THREE = """
@@ -210,7 +210,7 @@ def test_a_paused_campaign_can_be_aborted_and_a_queued_one_too(simulate):
         assert (await lab.until(second)).state == "aborted"
         await lab.engine.abort()
         assert (await lab.until(first, "aborted")).state == "aborted"
-        with pytest.raises(WrongState, match="aborted, not running"):
+        with pytest.raises(WrongStateError, match="aborted, not running"):
             await lab.engine.abort(second)
 
     simulate(scenario)
@@ -218,18 +218,18 @@ def test_a_paused_campaign_can_be_aborted_and_a_queued_one_too(simulate):
 
 def test_commands_in_the_wrong_state_say_so(simulate):
     async def scenario(lab: FakeLab):
-        with pytest.raises(NotFound, match="no campaign is in progress"):
+        with pytest.raises(NotFoundError, match="no campaign is in progress"):
             await lab.engine.pause()
-        with pytest.raises(NotFound, match="no campaign 'x'"):
+        with pytest.raises(NotFoundError, match="no campaign 'x'"):
             await lab.engine.abort("x")
         id = await lab.submit(RETRY)
         await lab.until(id, "running")
-        with pytest.raises(WrongState, match="is running, not paused"):
+        with pytest.raises(WrongStateError, match="is running, not paused"):
             await lab.engine.resume()
-        with pytest.raises(Busy, match="pause it first"):
+        with pytest.raises(BusyError, match="pause it first"):
             await lab.engine.capture("now")
         await lab.engine.pause()
-        with pytest.raises(WrongState, match="is paused, not running"):
+        with pytest.raises(WrongStateError, match="is paused, not running"):
             await lab.engine.pause()
 
     simulate(scenario)
@@ -504,7 +504,7 @@ def test_a_campaign_planned_for_another_rig_is_not_gone_on_with_unless_told(simu
         record = await lab.until(id)
         assert record.state == "paused"
         assert "rig file has changed" in (record.reason or "")
-        with pytest.raises(WrongState, match="--accept-changed-rig"):
+        with pytest.raises(WrongStateError, match="--accept-changed-rig"):
             await lab.engine.resume()
         await lab.engine.resume(accept_changed_rig=True)
         assert (await lab.until(id, "completed")).state == "completed"

@@ -15,7 +15,7 @@ from labdaemon.campaign.manual_request import ManualRequest, capture_name, is_gr
 from labdaemon.campaign.table_motion import TableMotion, contradiction
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
-from labdaemon.stream.messages import InvalidParams
+from labdaemon.stream.messages import InvalidParamsError
 from labdaemon.testing.lab import FakeLab
 from labdaemon.testing.rig import fake_rig
 
@@ -200,7 +200,7 @@ def test_a_group_is_measured_jointly_once_it_is_quiet_and_again_when_a_member_co
         assert sorted(result.name for result in kept) == ["manual-000006-alone", "turn"]
         sets = {one.sharp for one in records.group_members(lab.journal, MANUAL, "turn")}
         assert sets == {"manual-000001"}  # one for all members
-        with pytest.raises(InvalidParams, match="is the name of a capture"):
+        with pytest.raises(InvalidParamsError, match="is the name of a capture"):
             await lab.engine.capture(ManualRequest(group="manual-000006-alone"))
 
     simulate(scenario)

@@ -17,10 +17,10 @@ import pytest
 from labdaemon.cli.main import COMMANDS, main
 from labdaemon.clock import SystemClock
 from labdaemon.errors import LimitError
-from labdaemon.journal.event import Event, EventText, within
+from labdaemon.journal.event import EventText, StoredEvent, within
 from labdaemon.stream.commands import CommandServer
-from labdaemon.stream.events import EventPublisher, replay
-from labdaemon.stream.messages import RawJson, WrongState
+from labdaemon.stream.messages import RawJson, WrongStateError
+from labdaemon.stream.publisher import EventPublisher, replay
 
 CAMPAIGN = Path(__file__).parents[2] / "config" / "campaigns" / "three-modes.toml"
 STATUS = {
@@ -63,7 +63,7 @@ class Daemon:
     def __init__(self) -> None:
         self.asked: list[tuple[str, dict[str, Any]]] = []
         self.events = [
-            Event(seq, "2026-05-04T10:11:12.000000Z", kind, "c-1", data, self.uuid)
+            StoredEvent(seq, "2026-05-04T10:11:12.000000Z", kind, "c-1", data, self.uuid)
             for seq, (kind, data) in enumerate(HISTORY, 1)
         ]
         self._ready = threading.Event()
@@ -87,7 +87,7 @@ class Daemon:
             "rig": {"service": {"events": publisher.address}},
             "campaign.submit": {"campaign": "c-1"},
             "campaign.pause": {"campaign": "c-1"},
-            "campaign.abort": WrongState("no campaign is running"),
+            "campaign.abort": WrongStateError("no campaign is running"),
             "campaign.resume": {"campaign": "c-1"},
             "capture": {"capture": "manual-1", "opened_at": "2026-05-04T10:11:12.000000Z"},
             "stop": {},

@@ -11,7 +11,7 @@ import pytest
 
 from labdaemon.capture.devices import StopRecipeSource
 from labdaemon.guardian.recipe import from_json, to_json
-from labdaemon.guardian.wire import NotAtRest, open_port, stop_shaker
+from labdaemon.guardian.wire import StopFailure, open_port, stop_shaker
 from labdrivers.sim.scpi_device import ScpiDevice
 from labdrivers.sim.wire import PtyPort, TcpPort, WireDevice
 
@@ -149,7 +149,7 @@ def test_it_is_no_rest_that_was_not_seen(make_shaker, fault):
     port = TcpPort(device)
     recipe = recipe_of(make_shaker, port.url, timeout_s=0.2)
     device.faults.inject(fault, value=0.5 if fault == "late" else None)
-    with pytest.raises(NotAtRest):
+    with pytest.raises(StopFailure):
         stop_shaker(recipe, sleep=lambda _: None)
     assert moves() == (fault == "stuck_output")  # the command comes through where only answers are broken
     device.faults.clear()
@@ -158,7 +158,7 @@ def test_it_is_no_rest_that_was_not_seen(make_shaker, fault):
         try:
             stop_shaker(recipe, sleep=lambda _: None)
             break
-        except NotAtRest:
+        except StopFailure:
             continue
     assert not moves()
     port.close()
@@ -171,7 +171,7 @@ def test_a_late_answer_to_the_dead_daemon_is_not_taken_for_rest(make_shaker):
     recipe = recipe_of(make_shaker, port.url, timeout_s=0.3)
     device.faults.inject("stuck_output")
     device.send_later(0.05, b"0\n" * 8)
-    with pytest.raises(NotAtRest):
+    with pytest.raises(StopFailure):
         stop_shaker(recipe, sleep=lambda _: None)
     assert moves()
     port.close()
@@ -189,7 +189,7 @@ def test_what_starts_it_again_after_the_stop_is_seen(make_shaker):
 
 def test_a_port_that_is_not_there(make_shaker):
     for port in ("/dev/nonexistent", "socket://127.0.0.1:1"):
-        with pytest.raises(NotAtRest, match="does not open"):
+        with pytest.raises(StopFailure, match="does not open"):
             stop_shaker(recipe_of(make_shaker, port))
 
 

@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import json
 
-from labdaemon.guardian.recipe import Exchange, PortSetup, StopRecipe, from_json, read_message, to_json
+from labdaemon.guardian.recipe import PortSetup, StopRecipe, WireExchange, from_json, read_message, to_json
 from labdaemon.guardian.wire import is_expected
 
 RECIPE = StopRecipe(
     "shaker", "/dev/ttyUSB0", PortSetup(9600, parity="E", rtscts=True),
-    (Exchange(b"\x02OFF\xff\r"), Exchange(b"HALT\n", "OK", None, 0.5)), None, (Exchange(b"D?\n", None, 0.02),), b"\r",
+    (WireExchange(b"\x02OFF\xff\r"), WireExchange(b"HALT\n", "OK", None, 0.5)), None,
+    (WireExchange(b"D?\n", None, 0.02),), b"\r",
 )  # fmt: skip
 
 
@@ -21,9 +22,9 @@ def test_a_line_that_was_cut_off_is_no_message():
 
 
 def test_what_is_expected():
-    switch = Exchange(b"OUTP?\n", r"0|OFF")
+    switch = WireExchange(b"OUTP?\n", r"0|OFF")
     assert [is_expected(switch, answer) for answer in ("0", "off", "1", "00", "")] == [True, True, False, False, False]
-    level = Exchange(b"VOLT?\n", None, 0.0202)
+    level = WireExchange(b"VOLT?\n", None, 0.0202)
     answers = ("+2.0E-02", "0.02 VPP", "+1.0E+00", "2.0E-01", "nothing", "nan")
     assert [is_expected(level, answer) for answer in answers] == [True, True, False, False, False, False]
     # a negative number is no small level

@@ -7,7 +7,7 @@ import pytest
 from labdaemon.guardian import rescue as module
 from labdaemon.guardian.recipe import PortSetup, StopRecipe
 from labdaemon.guardian.rescue import rescue
-from labdaemon.guardian.wire import NotAtRest
+from labdaemon.guardian.wire import StopFailure
 
 RECIPE = StopRecipe("shaker", "/dev/ttyUSB0", PortSetup(), (), None, ())
 
@@ -27,7 +27,7 @@ def short_pauses(monkeypatch):
 
 
 def test_it_tries_until_the_table_is_seen_at_rest_and_names_the_emergency_stop_meanwhile():
-    troubles = [NotAtRest("no answer"), RuntimeError("what no one foresaw"), None]
+    troubles = [StopFailure("no answer"), RuntimeError("what no one foresaw"), None]
     log = Log()
 
     def stop(_):
@@ -43,7 +43,7 @@ def test_it_tries_until_the_table_is_seen_at_rest_and_names_the_emergency_stop_m
 
 def test_it_ends_when_its_patience_does_and_says_so():
     def stop(_):
-        raise NotAtRest("port does not open")
+        raise StopFailure("port does not open")
 
     outcome = rescue(RECIPE, Log(), patience_s=0.05, is_wanted=lambda: False, stop=stop)
     assert not outcome.is_at_rest
@@ -56,7 +56,7 @@ def test_it_leaves_the_table_to_a_newer_daemon_but_not_at_once(monkeypatch):
 
     def stop(_):
         tries.append(1)
-        raise NotAtRest("no answer")
+        raise StopFailure("no answer")
 
     outcome = rescue(RECIPE, Log(), patience_s=60.0, is_wanted=lambda: True, stop=stop)
     assert not outcome.is_at_rest

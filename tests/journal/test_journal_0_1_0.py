@@ -13,7 +13,7 @@ from labdaemon.clock import SimulatedClock
 from labdaemon.events import CampaignPaused, EnvelopeMeasured, parse_event
 from labdaemon.journal import transitions
 from labdaemon.journal.journal import FILE_NAME, Journal
-from labdaemon.stream.events import latest, replay
+from labdaemon.stream.publisher import latest, replay
 
 SCRIPT = Path(__file__).parent / "journal_0_1_0.sql"
 UUID = "5d0c1c8e-0000-4000-8000-000000000010"

@@ -41,7 +41,7 @@ def is_gone(pid: int) -> bool:
         return True
 
 
-class Ward:
+class GuardedProcess:
     """`ward_program.py` as a process, and what it has said."""
 
     def __init__(self, port: str, folder: Path) -> None:
@@ -93,7 +93,7 @@ def table(tmp_path, monkeypatch):
 def ward(request, table, tmp_path):
     port = PtyPort(table.shaker) if request.param == "pty" else TcpPort(table.shaker)
     url = port.path if request.param == "pty" else port.url
-    found = Ward(url, tmp_path)
+    found = GuardedProcess(url, tmp_path)
     found.port = url
     assert until(table.moving)
     yield found
@@ -219,7 +219,8 @@ def test_a_later_daemon_waits_for_the_guardian_that_is_still_at_it(ward, table, 
 
 def test_an_adopter_of_orphans_is_never_taken_for_the_daemon():
     """A guardian whose daemon died before it looked has another parent, which must not be killed."""
-    program = "import os, sys; from labdaemon.guardian.ward import Ward; w = Ward(int(sys.argv[1])); print(w.end(0.0))"
+    call = "print(GuardedProcess(int(sys.argv[1])).end(0.0))"
+    program = f"import os, sys; from labdaemon.guardian.guarded_process import GuardedProcess; {call}"
     gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
     done = subprocess.run([sys.executable, "-c", program, gone.stdout.strip()], capture_output=True, text=True)
     assert done.stdout == "False\n", done.stderr
@@ -228,7 +229,7 @@ def test_an_adopter_of_orphans_is_never_taken_for_the_daemon():
 def test_what_the_guardian_imports():
     """The standard library and pyserial alone: whatever else it loaded could fail, or need memory that is not there."""
     program = (
-        "import sys; sys.path += sys.argv[1:]; import labdaemon.guardian.watch, json; "
+        "import sys; sys.path += sys.argv[1:]; import labdaemon.guardian.heartbeat_monitor, json; "
         "print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules} - set(sys.stdlib_module_names))))"
     )
     import serial

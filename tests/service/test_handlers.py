@@ -11,7 +11,7 @@ from labdaemon.errors import LimitError
 from labdaemon.service.deferred_commands import METHODS, DeferredCommands
 from labdaemon.service.handlers import handlers
 from labdaemon.service.status import status_of
-from labdaemon.stream.messages import InvalidParams, WrongState
+from labdaemon.stream.messages import InvalidParamsError, WrongStateError
 from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
@@ -84,7 +84,7 @@ def test_status_follows_a_campaign(serve):
         assert (later["captures"], later["captures_manual"]) == (taken, 1)  # counted apart
         assert later["left_s"] == status["left_s"]  # a pause takes no time from the plan
         assert (await ask("stop"))["rest"] == "soft"
-        with pytest.raises(WrongState):
+        with pytest.raises(WrongStateError):
             await ask("campaign.pause")
         await ask("campaign.resume")
         await lab.until(answer["campaign"], "completed")
@@ -99,17 +99,17 @@ def test_status_follows_a_campaign(serve):
 
 def test_wrong_parameters_are_refused(serve):
     async def scenario(lab, deferred, ask):
-        with pytest.raises(InvalidParams, match="toml is a text"):
+        with pytest.raises(InvalidParamsError, match="toml is a text"):
             await ask("campaign.submit", toml=7)
         with pytest.raises(LimitError):
             await ask("campaign.submit", toml=CAMPAIGN.replace("1.0\nexp", "500.0\nexp"))
-        with pytest.raises(InvalidParams, match="label is a text"):
+        with pytest.raises(InvalidParamsError, match="label is a text"):
             await ask("capture", label="x" * 300)
-        with pytest.raises(InvalidParams, match="unknown parameter lable; did you mean label"):
+        with pytest.raises(InvalidParamsError, match="unknown parameter lable; did you mean label"):
             await ask("capture", lable="x")
-        with pytest.raises(InvalidParams, match="sharp is true or false"):
+        with pytest.raises(InvalidParamsError, match="sharp is true or false"):
             await ask("capture", sharp=1)
-        with pytest.raises(InvalidParams, match="campaign is a text"):
+        with pytest.raises(InvalidParamsError, match="campaign is a text"):
             await ask("campaign.pause", campaign=["x"])
         assert (await ask("stop", lable="x"))["rest"] == "soft"  # whatever it says
 

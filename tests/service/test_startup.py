@@ -22,7 +22,7 @@ from labdaemon.service import deferred_commands as deferred_module
 from labdaemon.service import startup as start_module
 from labdaemon.service.deferred_commands import DeferredCommands
 from labdaemon.service.startup import DATA, EndRequest, StartupSequence
-from labdaemon.stream.messages import DEVICE, WRONG_STATE, WrongState, code_of
+from labdaemon.stream.messages import DEVICE, WRONG_STATE, WrongStateError, code_of
 
 
 class LateDevice:
@@ -120,7 +120,7 @@ async def test_a_data_folder_that_comes_late_is_waited_for(start: StartupSequenc
     waiting = asyncio.create_task(start.open_journal(disk / "data", False))
     await until(lambda: DATA in start.waiting_for)
     assert start.status()["doing"] == f"waiting for {DATA}"
-    assert isinstance(start.refusal(), WrongState)
+    assert isinstance(start.refusal(), WrongStateError)
     assert code_of(start.refusal()) == WRONG_STATE
     disk.unlink()
     disk.mkdir()

@@ -14,7 +14,7 @@ import zmq.asyncio
 
 from labdaemon.errors import ConfigError, InterlockError, LimitError, TransportError, UsageError
 from labdaemon.stream.commands import MAX_IN_PROGRESS, MAX_OF_ONE, CommandServer
-from labdaemon.stream.messages import Busy, Forbidden, NotFound, WrongState
+from labdaemon.stream.messages import BusyError, ForbiddenError, NotFoundError, WrongStateError
 
 
 class Lab:
@@ -35,11 +35,11 @@ class Lab:
             },
         )
         self.errors: dict[str, BaseException] = {
-            "busy": Busy("one at a time"),
-            "forbidden": Forbidden("observers may not"),
+            "busy": BusyError("one at a time"),
+            "forbidden": ForbiddenError("observers may not"),
             "limits": LimitError("too far", source="campaign", key="phase[1].amplitude_mm"),
-            "not_found": NotFound("no such campaign"),
-            "wrong_state": WrongState("nothing is running"),
+            "not_found": NotFoundError("no such campaign"),
+            "wrong_state": WrongStateError("nothing is running"),
             "device": TransportError("the port is gone", device="shaker"),
             "invalid_params": UsageError("label is text"),
             "config": ConfigError("bad", source="campaign", key="name"),

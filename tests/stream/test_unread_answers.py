@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from labdaemon.stream import unread
-from labdaemon.stream.unread import MOST_OF_ALL, MOST_OF_ONE, UnreadAnswers
+from labdaemon.stream import unread_answers
+from labdaemon.stream.unread_answers import MOST_OF_ALL, MOST_OF_ONE, UnreadAnswers
 
 
 @dataclass
@@ -38,7 +38,7 @@ def test_who_reads_is_waited_for_and_who_does_not_is_refused(monkeypatch: pytest
         assert not waiting.done()
         held.done = True
         assert await waiting
-        monkeypatch.setattr(unread, "PATIENCE_S", 0.05)
+        monkeypatch.setattr(unread_answers, "PATIENCE_S", 0.05)
         answers.add(b"a", MOST_OF_ONE, Tracked())
         assert not await answers.wait_for_room(b"a")
 

@@ -17,9 +17,9 @@ import zmq.asyncio
 
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError
-from labdaemon.stream import connection, gate
+from labdaemon.stream import peer_connection, peer_gate
 from labdaemon.stream.commands import CommandServer
-from labdaemon.stream.events import EventPublisher
+from labdaemon.stream.publisher import EventPublisher
 from labdaemon.stream.sockets import MAX_TOPIC_BYTES, MAX_TOPICS
 
 GREETING = (b"\xff" + b"\0" * 8 + b"\x7f\x03\x00NULL").ljust(64, b"\0")
@@ -53,9 +53,9 @@ class Lab:
 @pytest.fixture
 async def labs(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Callable[..., Lab]]:
     """Starts one on the given addresses."""
-    monkeypatch.setattr(gate, "MOST_PEERS", 8)
-    monkeypatch.setattr(gate, "CROWD_PAUSE_S", 0.01)
-    monkeypatch.setattr(gate, "HELLO_S", 0.1)
+    monkeypatch.setattr(peer_gate, "MOST_PEERS", 8)
+    monkeypatch.setattr(peer_gate, "CROWD_PAUSE_S", 0.01)
+    monkeypatch.setattr(peer_gate, "HELLO_S", 0.1)
     started: list[tuple[Lab, list[asyncio.Task[None]]]] = []
 
     def start(*addresses: str) -> Lab:
@@ -129,7 +129,7 @@ async def test_silent_connections_give_their_places_to_those_who_speak(labs: Cal
 
 
 async def test_what_never_says_hello_has_to_leave(labs: Callable[..., Lab], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "HANDSHAKE_S", 0.0)
+    monkeypatch.setattr(peer_gate, "HANDSHAKE_S", 0.0)
     lab = labs()
     with connected(lab.server.address, GREETING[:10]):
         await until(lambda: peers_of(lab.server) == 1)
@@ -137,7 +137,7 @@ async def test_what_never_says_hello_has_to_leave(labs: Callable[..., Lab], monk
 
 
 async def test_clients_that_leak_keep_nobody_out(labs: Callable[..., Lab], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "IDLE_S", 0.0)
+    monkeypatch.setattr(peer_gate, "IDLE_S", 0.0)
     lab = labs()
     with zmq.asyncio.Context() as context:
         for number in range(20):  # each says hello, asks once and is never closed
@@ -218,7 +218,7 @@ async def test_a_message_without_end_ends_its_own_connection(labs: Callable[...,
 async def test_a_system_without_descriptors_is_waited_out(
     labs: Callable[..., Lab], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gate, "EXHAUSTED_PAUSE_S", 0.05)
+    monkeypatch.setattr(peer_gate, "EXHAUSTED_PAUSE_S", 0.05)
     lab = labs()
     with socket.socket() as waiting:
         waiting.setblocking(False)
@@ -279,7 +279,7 @@ async def test_ipv6(labs: Callable[..., Lab]) -> None:
 async def test_large_answers_pass_a_narrow_door_whole(
     labs: Callable[..., Lab], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(peer_connection, "BLOCK_BYTES", 1000)
     lab = labs()
     text = os.urandom(300_000).hex()
     answers = await asyncio.gather(*(ask(lab.server.address, text=text, n=n) for n in range(4)))

@@ -16,7 +16,7 @@ import socket
 import time
 import uuid
 
-from labdaemon.stream.connection import NOT_NOW, Connection
+from labdaemon.stream.peer_connection import NOT_NOW, PeerConnection
 from labdaemon.stream.zmtp import PeerLimits
 
 BACKLOG = 4096
@@ -59,7 +59,7 @@ def inner_address() -> str:
     return f"ipc://@labdaemon-{os.getpid()}-{uuid.uuid4().hex}"
 
 
-class Gate:
+class PeerGate:
     """Lets peers in.
 
     Parameters
@@ -90,7 +90,7 @@ class Gate:
         self._limits, self._evicts_idle = limits, evicts_idle
         self._inner = inner.removeprefix("ipc://")
         self._most = most if most is not None else most_peers()
-        self._connections: list[Connection] = []
+        self._connections: list[PeerConnection] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._logged_s = -LOG_EVERY_S
@@ -154,9 +154,9 @@ class Gate:
         except OSError:
             peer.close()  # it has left already
             return
-        self._connections.append(Connection(peer, self._limits, self._connect, self._forget))
+        self._connections.append(PeerConnection(peer, self._limits, self._connect, self._forget))
 
-    def _least_missed(self) -> Connection | None:
+    def _least_missed(self) -> PeerConnection | None:
         """The connection that may give its place to another: the longest silent of those that wait for nothing."""
         now_s = time.monotonic()
         strangers = [connection for connection in self._connections if not connection.is_ready]
@@ -178,7 +178,7 @@ class Gate:
             raise
         return inner
 
-    def _forget(self, connection: Connection, why: str) -> None:
+    def _forget(self, connection: PeerConnection, why: str) -> None:
         self._connections.remove(connection)
         if why:
             self._note(why)

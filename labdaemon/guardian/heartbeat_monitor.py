@@ -17,11 +17,11 @@ import time
 from contextlib import suppress
 from typing import Any
 
+from labdaemon.guardian.guarded_process import GuardedProcess
 from labdaemon.guardian.recipe import StopRecipe, from_json, read_message
-from labdaemon.guardian.report import Reporter
-from labdaemon.guardian.rescue import EMERGENCY, Outcome, rescue
-from labdaemon.guardian.silence import Moment, Silence, now
-from labdaemon.guardian.ward import Ward
+from labdaemon.guardian.rescue import EMERGENCY, RescueOutcome, rescue
+from labdaemon.guardian.rescue_reporter import RescueReporter
+from labdaemon.guardian.silence_timer import ClockReading, SilenceTimer, now
 
 TICK_S = 0.1
 GONE_S = 0.2
@@ -35,7 +35,7 @@ WANTED_S = 60.0
 """A daemon waits for less than this; an older signal was meant for another rescue."""
 
 
-class Watch:
+class HeartbeatMonitor:
     """Listens to one daemon.
 
     Parameters
@@ -46,12 +46,12 @@ class Watch:
         The daemon.
     """
 
-    def __init__(self, setup: dict[str, Any], ward: Ward) -> None:
+    def __init__(self, setup: dict[str, Any], guarded: GuardedProcess) -> None:
         self.recipe: StopRecipe = from_json(setup["recipe"])
         self.silence_s, self.patience_s = float(setup["silence_s"]), float(setup["patience_s"])
-        self.reporter = Reporter(setup["rig"], setup["report"])
-        self._ward, self._moving, self._bye, self._rest = ward, True, False, b""
-        self._silence = Silence(now())
+        self.reporter = RescueReporter(setup["rig"], setup["report"])
+        self._guarded, self._moving, self._bye, self._rest = guarded, True, False, b""
+        self._silence = SilenceTimer(now())
         self._wanted_at = -math.inf
 
     def hand_over(self, *_: object) -> None:
@@ -71,7 +71,7 @@ class Watch:
             return 0
         return self._rescue(reason)
 
-    def feed(self, data: bytes, at: Moment) -> list[int]:
+    def feed(self, data: bytes, at: ClockReading) -> list[int]:
         """Take bytes of the pipe; the numbers of the heartbeats that they hold."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         beats = []
@@ -95,9 +95,9 @@ class Watch:
         """Hear heartbeats; why they ceased, None after a goodbye."""
         poll = select.poll()
         poll.register(source, select.POLLIN | select.POLLHUP)
-        if self._ward.descriptor is not None:
+        if self._guarded.descriptor is not None:
             # A process that the daemon has forked may hold the pipe open long after the daemon is gone.
-            poll.register(self._ward.descriptor, select.POLLIN)
+            poll.register(self._guarded.descriptor, select.POLLIN)
         while True:
             ready = dict(poll.poll(1000 * TICK_S))
             if source in ready:
@@ -114,15 +114,15 @@ class Watch:
                 return f"has been silent for {self._silence.silent_s:.1f} s with the table moving"
 
     def _rescue(self, reason: str) -> int:
-        was_killed = self._ward.end(GONE_S if reason.startswith("ended") else 0.0)
-        why = f"the daemon (process {self._ward.pid}) {reason}{' and was killed' if was_killed else ''}"
+        was_killed = self._guarded.end(GONE_S if reason.startswith("ended") else 0.0)
+        why = f"the daemon (process {self._guarded.pid}) {reason}{' and was killed' if was_killed else ''}"
         self.reporter.say(f"{why}; stopping {self.recipe.device}")
         outcome = rescue(self.recipe, self.reporter, patience_s=self.patience_s, is_wanted=self._is_wanted)
         self.reporter.conclude(f"{why}; {_in_words(outcome)}", {"why": why, **outcome._asdict()})
         return 0 if outcome.is_at_rest else 1
 
 
-def _in_words(outcome: Outcome) -> str:
+def _in_words(outcome: RescueOutcome) -> str:
     if outcome.is_at_rest:
         return f"the table was seen at rest {outcome.after_s:.2f} s later (try {outcome.tries})"
     return f"{EMERGENCY} ({outcome.trouble}; {outcome.tries} tries in {outcome.after_s:.0f} s, no more are made here)"
@@ -158,7 +158,7 @@ def main() -> int:
     setup = read_setup(0)
     if not setup:
         return 0  # nothing has moved yet
-    watch = Watch(setup, Ward(setup["daemon"]))
+    watch = HeartbeatMonitor(setup, GuardedProcess(setup["daemon"]))
     signal.signal(HAND_OVER, watch.hand_over)
     os.set_blocking(1, False)
     return watch.run(0, 1)

@@ -16,7 +16,7 @@ NOT_NOW = (BlockingIOError, InterruptedError)
 """What a socket says that has nothing to read, or no room."""
 
 
-class Pipe:
+class ByteRelay:
     """Moves bytes from one socket to another, and reads no more than the other side takes.
 
     Parameters
@@ -129,7 +129,7 @@ class Pipe:
             self._on_end(why)
 
 
-class Connection:
+class PeerConnection:
     """A peer, from its first byte to its last.
 
     Parameters
@@ -156,12 +156,12 @@ class Connection:
         peer: socket.socket,
         limits: PeerLimits,
         connect: Callable[[], socket.socket],
-        on_close: Callable[[Connection, str], None],
+        on_close: Callable[[PeerConnection, str], None],
     ) -> None:
         self._peer, self._limits, self._connect, self._on_close = peer, limits, connect, on_close
         self._inspector = PeerInspector(limits)
         self._inner: socket.socket | None = None
-        self._pipes: list[Pipe] = []
+        self._pipes: list[ByteRelay] = []
         self._first = b""
         self._tokens = float(limits.burst_bytes)
         self._resume: asyncio.TimerHandle | None = None
@@ -216,8 +216,8 @@ class Connection:
             self.close(str(exc))
             return
         self._loop.remove_reader(self._peer)
-        inward = Pipe(self._peer, self._inner, self._seen, self.close)
-        outward = Pipe(self._inner, self._peer, self._sent, self.close)
+        inward = ByteRelay(self._peer, self._inner, self._seen, self.close)
+        outward = ByteRelay(self._inner, self._peer, self._sent, self.close)
         self._pipes = [inward, outward]
         first, self._first = self._first, b""
         inward.put(first)

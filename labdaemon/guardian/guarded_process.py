@@ -12,7 +12,7 @@ END_S = 0.3
 """How long a killed process may take to be gone. One that waits for a disk takes longer; the stop does not wait."""
 
 
-class Ward:
+class GuardedProcess:
     """The process that started the guardian, held by a descriptor that no later process can have.
 
     Parameters

@@ -18,7 +18,7 @@ LONGEST_WAIT_S = 2.0
 """Longest that the end of the process waits for its last words to be written."""
 
 
-class Reporter:
+class RescueReporter:
     """Writes reports.
 
     Parameters

@@ -1,7 +1,7 @@
 """Events out: what the journal has committed, in order, each once, with a status every second as heartbeat.
 
 The journal is the outbox. The publisher only ever sends what it reads back from there, so an event is on disk before
-anybody hears of it, and a subscriber that missed some finds them by `seq` and asks ``events.replay``.
+a subscriber gets it, and a subscriber that missed some finds them by `seq` and asks ``events.replay``.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from labdaemon.clock import Clock, rfc3339
 from labdaemon.errors import StorageUnavailable
 from labdaemon.journal.event import EventText
 from labdaemon.plain_json import dump_json
-from labdaemon.stream.gate import Gate
-from labdaemon.stream.messages import InvalidParams, RawJson
+from labdaemon.stream.messages import InvalidParamsError, RawJson
+from labdaemon.stream.peer_gate import PeerGate
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
 from labdaemon.stream.text_limits import shown
 
@@ -85,7 +85,7 @@ class EventPublisher:
         self._outbox, self._status, self._clock = outbox, status, clock
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
-        self._gate: Gate | None = None
+        self._gate: PeerGate | None = None
         self._news = asyncio.Event()
         self._sent = outbox.last_seq
         self._is_unread = False
@@ -135,7 +135,7 @@ class EventPublisher:
 
     @contextmanager
     def _waiting_for_disk(self) -> Iterator[None]:
-        """A journal that cannot be read now is read at the next heartbeat; a person hears of it once."""
+        """A journal that cannot be read now is read at the next heartbeat; the log has it once."""
         try:
             yield
         except StorageUnavailable as exc:
@@ -211,13 +211,13 @@ def replay(outbox: Outbox, params: dict[str, Any]) -> RawJson:
 
     Raises
     ------
-    InvalidParams
+    InvalidParamsError
         `after` or `limit` is no number of events.
     """
     after, limit = params.get("after", 0), params.get("limit", MAX_REPLAY)
     for name, value in (("after", after), ("limit", limit)):
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 62:
-            raise InvalidParams(f"{name} is a whole number from 0, not {shown(value)}")
+            raise InvalidParamsError(f"{name} is a whole number from 0, not {shown(value)}")
     last = outbox.last_seq
     events = outbox.history(after, min(limit, MAX_REPLAY), MAX_REPLAY_BYTES) if limit else []
     last = max(last, events[-1].seq if events else 0)

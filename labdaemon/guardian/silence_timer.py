@@ -14,19 +14,19 @@ SUSPENDED_S = 0.05
 """A suspend moves the two clocks apart by more than this."""
 
 
-class Moment(NamedTuple):
+class ClockReading(NamedTuple):
     """Both clocks at one moment: only ``boot_s`` advances while the machine is suspended."""
 
     monotonic_s: float
     boot_s: float
 
 
-def now() -> Moment:
+def now() -> ClockReading:
     """The present moment."""
-    return Moment(time.monotonic(), time.clock_gettime(time.CLOCK_BOOTTIME))
+    return ClockReading(time.monotonic(), time.clock_gettime(time.CLOCK_BOOTTIME))
 
 
-class Silence:
+class SilenceTimer:
     """Counts the daemon's silence.
 
     Parameters
@@ -42,12 +42,12 @@ class Silence:
         Longest time between two heartbeats that counted, seconds.
     """
 
-    def __init__(self, began: Moment) -> None:
+    def __init__(self, began: ClockReading) -> None:
         self._last = self._heard = began
         self._may_ask = True
         self.silent_s = self.longest_s = 0.0
 
-    def tick(self, at: Moment) -> float:
+    def tick(self, at: ClockReading) -> float:
         """Time has passed; the silence so far, seconds.
 
         A suspend begins it anew: the daemon is asked once more, and only once.
@@ -61,7 +61,7 @@ class Silence:
         self._last = at
         return self.silent_s
 
-    def heard(self, at: Moment, *, counts: bool = True) -> None:
+    def heard(self, at: ClockReading, *, counts: bool = True) -> None:
         """A heartbeat has come; the time since the last one is kept if it counts."""
         self.tick(at)
         if counts:

@@ -16,7 +16,7 @@ PATIENCE_S = 10.0
 POLL_S = 0.01
 
 
-class Tracker(Protocol):
+class MessageTracker(Protocol):
     """Knows whether libzmq has let go of a message: pyzmq's `MessageTracker`."""
 
     @property
@@ -29,9 +29,9 @@ class UnreadAnswers:
     """Bytes of large answers in libzmq's hands, by client."""
 
     def __init__(self) -> None:
-        self._held: deque[tuple[bytes, int, Tracker]] = deque()
+        self._held: deque[tuple[bytes, int, MessageTracker]] = deque()
 
-    def add(self, client: bytes, size: int, tracker: Tracker) -> None:
+    def add(self, client: bytes, size: int, tracker: MessageTracker) -> None:
         """Note an answer that was handed to libzmq."""
         self._held.append((client, size, tracker))
 

@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError, StorageUnavailable
 from labdaemon.events import StepCompleted
-from labdaemon.journal.event import Event, EventText, within
-from labdaemon.stream import events as events_module
+from labdaemon.journal.event import EventText, StoredEvent, within
+from labdaemon.stream import publisher as events_module
 from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon, RemoteError
 from labdaemon.stream.commands import CommandServer
-from labdaemon.stream.events import EventPublisher, latest, replay
-from labdaemon.stream.messages import InvalidParams, RawJson
+from labdaemon.stream.messages import InvalidParamsError, RawJson
+from labdaemon.stream.publisher import EventPublisher, latest, replay
 
 
 class ListOutbox:
@@ -31,7 +31,7 @@ class ListOutbox:
 
     def __init__(self, uuid: str = "journal-1", count: int = 0) -> None:
         self.uuid = uuid
-        self.events: list[Event] = []
+        self.events: list[StoredEvent] = []
         self.add(count)
 
     @property
@@ -50,7 +50,7 @@ class ListOutbox:
         for _ in range(count):
             seq = len(self.events) + 1
             data = {"step": 0, "n": seq, "padding": "x" * size}
-            self.events.append(Event(seq, "2026-05-04T10:11:12.000000Z", "step.completed", "c1", data, self.uuid))
+            self.events.append(StoredEvent(seq, "2026-05-04T10:11:12.000000Z", "step.completed", "c1", data, self.uuid))
 
 
 class Service:
@@ -309,7 +309,7 @@ def test_a_client_that_asks_and_never_reads_harms_nobody() -> None:
 
 @pytest.mark.parametrize("params", [{"after": -1}, {"after": "x"}, {"after": 1.5}, {"limit": True}, {"limit": 1 << 70}])
 def test_replay_refuses_nonsense(params: dict[str, Any]) -> None:
-    with pytest.raises(InvalidParams):
+    with pytest.raises(InvalidParamsError):
         replay(ListOutbox(), params)
 
 
