@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from labdaemon.campaign.limits import crossed_amplitude, crossed_frequency
+from labdaemon.campaign.limits import check_amplitude, check_frequency
 from labdaemon.errors import LimitError
 from labdrivers.scpi_settings import ShakerSettings
 
@@ -29,7 +29,7 @@ def check_excitation(name: str, settings: ShakerSettings, frequency_hz: float, a
     if not (math.isfinite(frequency_hz) and math.isfinite(amplitude_mm)) or frequency_hz <= 0 or amplitude_mm < 0:
         raise LimitError(f"{frequency_hz} Hz at {amplitude_mm} mm is no excitation", key=name)
     limits = settings.limits
-    crossed = crossed_frequency(limits, frequency_hz) or crossed_amplitude(limits, frequency_hz, amplitude_mm)
+    crossed = check_frequency(limits, frequency_hz) or check_amplitude(limits, frequency_hz, amplitude_mm)
     if crossed:
         raise LimitError(crossed, key=f"{name}.limits")
 

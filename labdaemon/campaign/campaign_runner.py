@@ -106,7 +106,7 @@ class CampaignRunner:
                         return
                 case "go" if step is not None:
                     self.step = step
-                    await self.step_runner.do(record.id, step, monitor)
+                    await self.step_runner.run(record.id, step, monitor)
                     if has_ended(self.context.recorder.journal, record.id, step.index):
                         ended.add(step.index)
                         if step.kind == "pause" and not step.hold_s:
@@ -117,9 +117,9 @@ class CampaignRunner:
         if self.control.requested == "pause" and state_of(self.context.recorder.journal, record.id) == "running":
             # It was not resumed meanwhile.
             await self.move(record, "paused", self.control.reason)
-        self.step_runner.doing, self.step_runner.began_s = "paused", None
+        self.step_runner.activity, self.step_runner.began_s = "paused", None
         while self.control.requested == "pause":
-            await self.listener.during(self.control.wait(monitor), record.id)
+            await self.listener.listen_during(self.control.wait(monitor), record.id)
         if self.control.requested == "go":
             await self.files.renew(record)
 
@@ -132,8 +132,8 @@ class CampaignRunner:
             await self.fault(exc, "pause")
             self.control.request("pause", str(exc))
             return False
-        self.step_runner.doing = "measuring"
-        await self.queue.catch_up(record.id)
+        self.step_runner.activity = "measuring"
+        await self.queue.enqueue_stored(record.id)
         await self.queue.drain()
         self.control.tripped = None  # by a last envelope, when the table rested already
         refused = await self.files.close(record)

@@ -77,7 +77,7 @@ class EnableLine:
         except InterlockError as exc:
             raise WrongStateError(f"{exc}; or set [interlocks] accept_no_enable = true") from exc
 
-    async def before(self, step: Step) -> None:
+    async def check_before(self, step: Step) -> None:
         """What comes before a step that moves the table.
 
         Raises

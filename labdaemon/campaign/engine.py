@@ -92,7 +92,7 @@ class Engine:
         )
         self.enable_line = self.step_runner.enable_line
         manual = ManualMeasurements(context, queue, self.reporter, folder_files)
-        self.manual = ManualCaptures(context, manual, self.reporter, policy.window_s, self._recover_soon)
+        self.manual = ManualCaptures(context, manual, self.reporter, policy.window_s, self._request_recovery)
         self._listener = OutsideListener(context, self.manual, self.step_runner, self.reporter, policy)
         self.runner = CampaignRunner(
             context,
@@ -128,7 +128,7 @@ class Engine:
         """Run campaigns until cancelled. The table must be at rest."""
         monitor = asyncio.create_task(self.monitor.run())
         try:
-            self._start(self.queue.mend())
+            self._start(self.queue.rebuild_incomplete())
             while True:
                 try:
                     await self._do_next(monitor)
@@ -289,10 +289,10 @@ class Engine:
 
     async def _idle(self, monitor: asyncio.Task[None]) -> None:
         """Wait for a campaign; where others fire, keep what others fire meanwhile."""
-        self.step_runner.doing = "idle"
-        await self._listener.during(self.control.wait(monitor), None)
+        self.step_runner.activity = "idle"
+        await self._listener.listen_during(self.control.wait(monitor), None)
 
-    def _recover_soon(self) -> None:
+    def _request_recovery(self) -> None:
         self.step_runner.needs_recovery = True
         self.control.changed.set()
 

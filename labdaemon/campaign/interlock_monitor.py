@@ -83,7 +83,7 @@ class InterlockMonitor:
                 except DeviceRefused as exc:
                     table.enabled, table.observer.line_down = False, True
                     if table.excitation is not None:
-                        self.trip(self._line_fell(trigger.driver.name, exc))
+                        self.trip(self._line_drop_error(trigger.driver.name, exc))
                 except DeviceError as exc:
                     self._missed(trigger.driver.name, exc)
                 else:
@@ -91,7 +91,7 @@ class InterlockMonitor:
             self.iterations += 1
             await self.context.clock.sleep(self.intervals.heartbeat_s)
 
-    def _line_fell(self, device: str, exc: DeviceRefused) -> LabdaemonError:
+    def _line_drop_error(self, device: str, exc: DeviceRefused) -> LabdaemonError:
         """Why the enable line is down: a wire that was lost may be tried again, anything else waits for a person."""
         if self._misses.get(device, 0):
             self._misses[device] = 0
@@ -154,10 +154,10 @@ class InterlockMonitor:
         while True:
             for name in self.context.rig.cameras:
                 await self.no_capture_in_flight()
-                await self._ask_camera(name)
+                await self._check_camera(name)
             await self.context.clock.sleep(self.intervals.cameras_s)
 
-    async def _ask_camera(self, name: str) -> None:
+    async def _check_camera(self, name: str) -> None:
         try:
             status = await self.context.rig.cameras[name].call(lambda driver: driver.status())
         except DeviceError as exc:

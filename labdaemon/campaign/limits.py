@@ -44,7 +44,7 @@ def peak_acceleration_mm_s2(frequency_hz: float, amplitude_mm: float) -> float:
     return (2 * math.pi * frequency_hz) ** 2 * amplitude_mm
 
 
-def crossed_frequency(limits: ShakerLimits, frequency_hz: float) -> str | None:
+def check_frequency(limits: ShakerLimits, frequency_hz: float) -> str | None:
     """Say how this frequency is outside the table's range, or None."""
     low, high = limits.frequency_hz
     if low <= frequency_hz <= high:
@@ -52,7 +52,7 @@ def crossed_frequency(limits: ShakerLimits, frequency_hz: float) -> str | None:
     return f"{frequency_hz:g} Hz is outside the table's {low:g} to {high:g} Hz"
 
 
-def crossed_amplitude(limits: ShakerLimits, frequency_hz: float, amplitude_mm: float) -> str | None:
+def check_amplitude(limits: ShakerLimits, frequency_hz: float, amplitude_mm: float) -> str | None:
     """Say which limit this excitation crosses (the tightest) and what would be allowed; None if it crosses none.
 
     Parameters

@@ -17,7 +17,7 @@ from labdaemon.campaign.step_runner import StepRunner
 from labdaemon.campaign.table_motion import TableMotion, contradiction, observe_table
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.external import ExternalRelease, ExternalReleases
-from labdaemon.capture.pairing import Arrivals
+from labdaemon.capture.pairing import ReleasePairing
 from labdaemon.capture.paths import capture_folder
 from labdaemon.capture.request import CaptureRequest
 from labdaemon.durable import write_durably
@@ -75,7 +75,7 @@ class ManualObserver:
         return await self.captures.describe(self.request, capture)
 
     async def capture_stored(self, capture: CaptureRecord) -> None:
-        await self.captures.measurements.stored(capture)
+        await self.captures.measurements.add(capture)
 
     def capture_ended(self) -> None:
         """Nothing waits for its end."""
@@ -94,7 +94,7 @@ class ManualCaptures:
         Where faults are reported.
     window_s
         Frames of one outside release arrive from all cameras within this time.
-    failed
+    on_failure
         Called when a capture came to nothing after it was fired: what it left is to be recovered.
     """
 
@@ -104,16 +104,16 @@ class ManualCaptures:
         measurements: ManualMeasurements,
         reporter: CampaignReporter,
         window_s: float,
-        failed: Callable[[], None] = lambda: None,
+        on_failure: Callable[[], None] = lambda: None,
     ) -> None:
-        self._failed = failed
+        self._on_failure = on_failure
         self._context, self._reporter, self._window_s = context, reporter, window_s
         self.measurements = measurements
         self.turn = asyncio.Lock()
         """Held while a capture is taken, and by whoever moves the table meanwhile."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._expected: deque[ExpectedRelease] = deque()
-        self._arrivals = Arrivals(tuple(context.rig.cameras), window_s)
+        self._arrivals = ReleasePairing(tuple(context.rig.cameras), window_s)
         self._gauge_trouble: str | None = None
         self.exposure_s = 1.0
         """Exposure of captures outside any plan that the daemon releases."""
@@ -151,11 +151,11 @@ class ManualCaptures:
                 f"group {group!r} is the name of a capture, or of a planned group; take another one"
             )
         if self._context.rig.trigger is None:
-            return await self._expect(request, campaign)
+            return await self._await_release(request, campaign)
         await self.turn.acquire()
         fired: asyncio.Future[CaptureRecord] = asyncio.get_running_loop().create_future()
-        task = self._start(self._take(request, campaign, fired))
-        task.add_done_callback(lambda task: self._taken(task, fired))
+        task = self._start(self._acquire(request, campaign, fired))
+        task.add_done_callback(lambda task: self._acquisition_done(task, fired))
         return await asyncio.shield(fired)
 
     async def listen(self, campaign: str | None) -> None:
@@ -163,14 +163,16 @@ class ManualCaptures:
         id = await self.measurements.open(campaign)
         async with aclosing(ExternalReleases(self._context, id, self._arrivals, self.turn).until(None)) as releases:
             async for release in releases:
-                await asyncio.shield(self._start(self._keep(id, release)))
+                await asyncio.shield(self._start(self._store_release(id, release)))
 
     async def finish(self) -> None:
         """Wait for captures that are still being stored."""
         while self._tasks:
             await asyncio.wait(set(self._tasks))
 
-    async def _take(self, request: ManualRequest, campaign: str | None, fired: asyncio.Future[CaptureRecord]) -> None:
+    async def _acquire(
+        self, request: ManualRequest, campaign: str | None, fired: asyncio.Future[CaptureRecord]
+    ) -> None:
         id = await self.measurements.open(campaign)
         exposure_s = request.exposure_s or self.exposure_s
         try:
@@ -181,9 +183,9 @@ class ManualCaptures:
                 fired.set_exception(exc)
                 return
             await self._reporter.fault(exc, campaign=id, step=None, action="recover")
-            self._failed()
+            self._on_failure()
 
-    async def _expect(self, request: ManualRequest, campaign: str | None) -> CaptureRecord:
+    async def _await_release(self, request: ManualRequest, campaign: str | None) -> CaptureRecord:
         """Have the next outside release be this capture."""
         now_s = self._context.clock.monotonic()
         self._drop_late(now_s)
@@ -204,7 +206,7 @@ class ManualCaptures:
             request, expected.campaign, expected.name, request.exposure_s or UNKNOWN_EXPOSURE_S
         ).intended()
 
-    async def _keep(self, campaign: str, release: ExternalRelease) -> None:
+    async def _store_release(self, campaign: str, release: ExternalRelease) -> None:
         """Store an outside release as the capture that was asked for, or as one that was not announced."""
         self._drop_late(self._context.clock.monotonic())
         expected = self._expected.popleft() if self._expected else None
@@ -299,7 +301,7 @@ class ManualCaptures:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    def _taken(self, task: asyncio.Task[None], fired: asyncio.Future[CaptureRecord]) -> None:
+    def _acquisition_done(self, task: asyncio.Task[None], fired: asyncio.Future[CaptureRecord]) -> None:
         """However it ended, the turn is given back and who waits for the opening is answered."""
         self.turn.release()
         error = None if task.cancelled() else task.exception()

@@ -79,7 +79,7 @@ class ManualMeasurements:
                 )
         return id
 
-    async def take_up(self, campaign: str | None) -> None:
+    async def measure_pending(self, campaign: str | None) -> None:
         """Measure what an earlier run left stored, once a start or a pause; does nothing where there is none."""
         id = campaign or transitions.MANUAL
         journal = self._context.recorder.journal
@@ -89,13 +89,13 @@ class ManualMeasurements:
         await self.open(campaign)
         self._spawn(self._measure_all(pending))
 
-    async def stored(self, capture: CaptureRecord) -> None:
+    async def add(self, capture: CaptureRecord) -> None:
         """A capture is safe on disk: have it measured, or say once what is missing."""
         for campaign, group in list(self._quiet):
             if campaign == capture.campaign and group != capture.grouped:
                 self._close(campaign, group)
         if capture.is_sharp:
-            self._spawn(self._adopt(capture))
+            self._spawn(self._measure_earlier(capture))
         elif capture.grouped is not None:
             self._wait_for_more(capture.campaign, capture.grouped)
         else:
@@ -125,7 +125,7 @@ class ManualMeasurements:
         if records.latest_sharp(self._context.recorder.journal, campaign) is None:
             await self._report_no_sharp(campaign)
             return
-        await self._queue.add_together(members, again=again)
+        await self._queue.add_group(members, again=again)
 
     async def _report_no_sharp(self, campaign: str) -> None:
         """Once, not for every capture of a night: they are kept, and measured as soon as there is a sharp set."""
@@ -139,7 +139,7 @@ class ManualMeasurements:
         )
         await self._reporter.fault(exc, campaign=campaign, step=None, action="kept until there is a sharp set")
 
-    async def _adopt(self, sharp: CaptureRecord) -> None:
+    async def _measure_earlier(self, sharp: CaptureRecord) -> None:
         """Measure captures that came before there was any sharp set against the first one."""
         self._reported.discard(sharp.campaign)
         recorder = self._context.recorder

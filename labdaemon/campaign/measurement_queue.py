@@ -112,7 +112,7 @@ class MeasurementQueue:
         self._group_sizes: dict[str, Mapping[str, int]] = {}
         self._writing = asyncio.Lock()
         self._broken: BaseException | None = None
-        self.with_disk_retry: DiskRetry = self._until_taken
+        self.with_disk_retry: DiskRetry = self._retry_until_written
         """Does work that the disk may refuse for a while; the engine's own reports it."""
         self._start: asyncio.Task[None] | None = None
         self._checked: set[str] = set()
@@ -148,9 +148,9 @@ class MeasurementQueue:
             return  # the size of a manual group is not known: whoever takes its captures says when it is complete
         members = self._members(capture)
         if members is not None:
-            await self.add_together(members)
+            await self.add_group(members)
 
-    async def add_together(self, members: Sequence[CaptureRecord], *, again: bool = False) -> None:
+    async def add_group(self, members: Sequence[CaptureRecord], *, again: bool = False) -> None:
         """Measure captures jointly under their group's name, or one under its own; waits while the queue is full.
 
         `again` replaces an earlier result of this name: a manual group has a member more.
@@ -201,7 +201,7 @@ class MeasurementQueue:
         stamp = await self._recorder.on_disk(self._measurer.stamp, campaign_folder(self._data, campaign))
         await self._recorder.write(transitions.keep_stamp, campaign, stamp)
 
-    async def mend(self) -> None:
+    async def rebuild_incomplete(self) -> None:
         """Write the files of ended campaigns anew that lack a result: a power cut or another program took it."""
         journal = self._recorder.journal
         for record in records.campaigns(journal, "completed", "aborted", "failed"):
@@ -215,7 +215,7 @@ class MeasurementQueue:
             except StorageError as exc:
                 log.warning("results of %s cannot be mended: %s", record.id, exc)
 
-    async def catch_up(self, campaign: str) -> None:
+    async def enqueue_stored(self, campaign: str) -> None:
         """Measure what is stored and not queued: a crash or a request may have come between."""
         for capture in records.captures(self._recorder.journal, campaign, "stored"):
             await self.add(capture)
@@ -344,7 +344,7 @@ class MeasurementQueue:
         folder = campaign_folder(self._data, campaign)
         await self._recorder.on_disk(self._measurer.write_results, folder, done)
 
-    async def _until_taken(self, work: Callable[[], Awaitable[object]]) -> object:
+    async def _retry_until_written(self, work: Callable[[], Awaitable[object]]) -> object:
         while True:
             try:
                 return await work()

@@ -31,7 +31,7 @@ class OutsideListener:
         self._context, self._manual, self._step_runner = context, manual, step_runner
         self._reporter, self._policy = reporter, policy
 
-    async def during(self, wait: Coroutine[Any, Any, None], campaign: str | None) -> None:
+    async def listen_during(self, wait: Coroutine[Any, Any, None], campaign: str | None) -> None:
         """Listen until the wait is over, and until what came meanwhile is stored.
 
         Parameters
@@ -54,7 +54,7 @@ class OutsideListener:
         failures = 0
         while True:
             try:
-                await self._manual.measurements.take_up(campaign)
+                await self._manual.measurements.measure_pending(campaign)
                 if self._context.rig.trigger is not None and self._context.rig.shaker is not None:
                     return
                 await self._manual.listen(campaign)

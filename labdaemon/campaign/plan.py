@@ -20,7 +20,7 @@ from labdaemon.campaign.campaign_file import (
     SweepPhase,
     frequencies,
 )
-from labdaemon.campaign.limits import ShakerLimits, crossed_amplitude, crossed_frequency
+from labdaemon.campaign.limits import ShakerLimits, check_amplitude, check_frequency
 from labdaemon.campaign.steps import Plan, SettleRule, Shot, Step
 from labdaemon.capture.exposure import choose_exposure, common_steps_s
 from labdaemon.capture.settle import settling_time_s
@@ -174,9 +174,9 @@ class _Planner:
         settings = list(_settings(phase))
         for frequency_hz, amplitude_mm, frequency_key, amplitude_key in settings:
             at = f"phase[{place}]."
-            if crossed := crossed_frequency(self.rig.limits, frequency_hz):
+            if crossed := check_frequency(self.rig.limits, frequency_hz):
                 raise self.limit(at + frequency_key, crossed)
-            if crossed := crossed_amplitude(self.rig.limits, frequency_hz, amplitude_mm):
+            if crossed := check_amplitude(self.rig.limits, frequency_hz, amplitude_mm):
                 raise self.limit(at + amplitude_key, crossed)
             if refused := self.rig.refusal(frequency_hz, amplitude_mm):
                 raise self.limit(at + amplitude_key, refused)

@@ -116,12 +116,12 @@ class RetryingStepRunner:
         self.enable_line = EnableLine(context, reporter, policy.accept_no_enable)
         self.needs_recovery = True
         """A capture may be in flight that no runner follows: at the start, and after every interruption."""
-        self.doing = "starting"
+        self.activity = "starting"
         """In a word or two, for status."""
         self.began_s: float | None = None
         """Monotonic time at which the present attempt at a step began; None while no step runs."""
 
-    async def do(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
+    async def run(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
         """A step to its end, or until a person asks for something else (see `RunControl.requested`)."""
         failures = 0
         while self._control.requested == "go":
@@ -136,7 +136,7 @@ class RetryingStepRunner:
                 await self._wait_for_disk(campaign, step, exc)
             except LabdaemonError as exc:
                 failures += 1
-                if not await self._retries(campaign, step, exc, failures):
+                if not await self._handle_fault(campaign, step, exc, failures):
                     return
             else:
                 return
@@ -149,7 +149,7 @@ class RetryingStepRunner:
         DeviceError
             A device stays lost, and a campaign waits for it.
         """
-        self.doing = "recovering"
+        self.activity = "recovering"
         failures = 0
         while True:
             try:
@@ -160,7 +160,7 @@ class RetryingStepRunner:
                 await self._reporter.wait_for_disk(exc, campaign)
             except LabdaemonError as exc:
                 failures += 1
-                self._suspect(exc)
+                self._mark_suspect(exc)
                 if campaign is not None and failures >= self._policy.max_tries:
                     raise
                 await self._reporter.fault(exc, campaign=campaign, step=step, action="try again")
@@ -171,7 +171,7 @@ class RetryingStepRunner:
 
     async def _wait_for_disk(self, campaign: str, step: Step, exc: StorageUnavailable) -> None:
         """The table rests for as long as the disk takes nothing."""
-        self.doing = "waiting for the disk"
+        self.activity = "waiting for the disk"
         try:
             await self.abort_to_rest()
         except InterlockError as worse:
@@ -195,7 +195,7 @@ class RetryingStepRunner:
 
     async def _run_once(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
         await self._wait_for_window(step, monitor)
-        self.doing, self.began_s = step.kind, self._context.clock.monotonic()
+        self.activity, self.began_s = step.kind, self._context.clock.monotonic()
         write = self._context.recorder.write
         payload = {"label": step.label, "kind": step.kind}
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
@@ -207,18 +207,18 @@ class RetryingStepRunner:
         await write(transitions.end_step, campaign, step.index, payload)
 
     async def _catch_up_and_run(self, runner: StepRunner, step: Step) -> None:
-        await self._queue.catch_up(runner.campaign)
-        await self.enable_line.before(step)
+        await self._queue.enqueue_stored(runner.campaign)
+        await self.enable_line.check_before(step)
         await runner.run(step)
 
-    async def _retries(self, campaign: str, step: Step, exc: LabdaemonError, failures: int) -> bool:
+    async def _handle_fault(self, campaign: str, step: Step, exc: LabdaemonError, failures: int) -> bool:
         """What a fault means for the step; False when it is over for now."""
         action = step.on_fault
         if action == "retry" and (isinstance(exc, InterlockError) or failures >= self._policy.max_tries):
             action = "pause"
         if isinstance(exc, SetupError):
             action = "pause"  # to go on would shake through the night for nothing
-        self._suspect(exc)
+        self._mark_suspect(exc)
         try:
             await self.abort_to_rest()
         except InterlockError as worse:
@@ -239,14 +239,14 @@ class RetryingStepRunner:
                 self._control.request(action, str(exc))
         return False
 
-    def _suspect(self, exc: LabdaemonError) -> None:
+    def _mark_suspect(self, exc: LabdaemonError) -> None:
         """A device that failed is connected to anew before it is used again."""
         if isinstance(exc, DeviceError) and exc.device is not None:
             self._context.suspect_devices.add(exc.device)
 
     async def _wait_for_window(self, step: Step, monitor: asyncio.Task[None]) -> None:
         while (left_s := wait_s(self._context.clock.now().astimezone(), step.not_before, step.not_after)) > 0.0:
-            self.doing = f"waiting until {step.not_before or '00:00'}"
+            self.activity = f"waiting until {step.not_before or '00:00'}"
             if self._context.table.excitation is not None:
                 await self._context.table.stop()
             await self._control.wait(monitor, min(left_s, POLL_S))

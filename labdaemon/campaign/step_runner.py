@@ -9,7 +9,7 @@ from labdaemon.campaign.steps import Shot, Step
 from labdaemon.capture.acquisition import acquire
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.external import ExternalRelease, ExternalReleases, store_release
-from labdaemon.capture.pairing import Arrivals
+from labdaemon.capture.pairing import ReleasePairing
 from labdaemon.capture.paths import sharp_folder
 from labdaemon.capture.request import CaptureObserver, CaptureRequest
 from labdaemon.capture.settle import Excitation
@@ -91,7 +91,7 @@ class StepRunner:
     async def _run_external(self, step: Step) -> None:
         """Keep what others fire, until as many as planned have come or the time is over."""
         end_s = self.context.clock.monotonic() + step.hold_s if step.hold_s else None
-        arrivals = Arrivals(tuple(self.context.rig.cameras), self.window_s)
+        arrivals = ReleasePairing(tuple(self.context.rig.cameras), self.window_s)
         planned = self._remaining_shots(step)
         taken = 0
         async with aclosing(ExternalReleases(self.context, self.campaign, arrivals).until(end_s)) as releases:

@@ -11,7 +11,7 @@ from labdaemon.capture.context import AcquisitionContext, CameraOverrides
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
 from labdaemon.capture.gather import gather_to_completion
-from labdaemon.capture.own_frames import clock_offsets, prepare_cameras, wait_own
+from labdaemon.capture.own_frames import clock_offsets, prepare_cameras, wait_frames
 from labdaemon.capture.pairing import Opening
 from labdaemon.capture.paths import (
     capture_folder,
@@ -67,7 +67,7 @@ async def acquire(context: AcquisitionContext, request: CaptureRequest, observer
     observer.capture_fired(capture)
 
     opening = Opening(capture.campaign, capture.name, opened_s, capture.exposure_s)
-    files = await wait_own(context.frames, opening, seen)
+    files = await wait_frames(context.frames, opening, seen)
     await context.table.confirm()
     if request.excitation is not None and context.table.excitation != request.excitation:
         raise InterlockError("the table was stopped during the exposure")
@@ -88,7 +88,7 @@ async def store_frames(
     named = {camera: identity(file) for camera, file in files.items()}
     offsets: list[ClockOffset] = []
     if opening is not None:
-        context.clocks.follow(files, opening)
+        context.clocks.update(files, opening)
         offsets = clock_offsets(context.frames, opening, files)
     await context.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets)
     frames = await gather_to_completion(_store(context, capture, camera, file) for camera, file in files.items())

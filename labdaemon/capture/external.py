@@ -11,8 +11,8 @@ from labdaemon.capture.acquisition import store_frames
 from labdaemon.capture.collect import store, wait_frame
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.devices import CardFile, Firing
-from labdaemon.capture.own_frames import wait_released
-from labdaemon.capture.pairing import Arrivals
+from labdaemon.capture.own_frames import wait_external_frames
+from labdaemon.capture.pairing import ReleasePairing
 from labdaemon.capture.paths import set_aside_path, with_opening
 from labdaemon.capture.request import CaptureObserver, CaptureRequest
 from labdaemon.clock import rfc3339
@@ -57,7 +57,7 @@ class ExternalReleases:
     """
 
     def __init__(
-        self, context: AcquisitionContext, campaign: str, arrivals: Arrivals, turn: asyncio.Lock | None = None
+        self, context: AcquisitionContext, campaign: str, arrivals: ReleasePairing, turn: asyncio.Lock | None = None
     ) -> None:
         self._context, self._campaign, self._arrivals = context, campaign, arrivals
         self._turn = turn or asyncio.Lock()
@@ -74,7 +74,7 @@ class ExternalReleases:
                 if firing is not None:
                     async with self._turn:
                         longest_s = max(self._context.exposures_s.values(), default=0.0)
-                        files = await wait_released(self._context.frames, firing.opened_at, longest_s)
+                        files = await wait_external_frames(self._context.frames, firing.opened_at, longest_s)
                         yield ExternalRelease(files, firing, arrivals.first_s)
                 continue
             found = await asyncio.gather(

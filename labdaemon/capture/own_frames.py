@@ -109,19 +109,19 @@ async def prepare_cameras(context: FrameContext) -> dict[str, frozenset[int]]:
 
 async def _prepare(context: FrameContext, name: str, camera: DeviceHandle[Camera]) -> frozenset[int]:
     while True:
-        slice_s = 1.0 if await _awaits(context, name) else 0.0
+        slice_s = 1.0 if await _is_file_due(context, name) else 0.0
         file = await wait_frame(camera, context.recorder, context.clock, slice_s)
         if file is not None:
             await set_aside(context, name, file)
         elif not slice_s:
             break
     on_card = await camera.call(lambda driver: driver.files(), LIST_S + CALL_S)
-    for file in await unexplained(context, name, on_card):
+    for file in await unaccounted_files(context, name, on_card):
         await set_aside(context, name, file)
     return frozenset(file.handle for file in on_card)
 
 
-async def _awaits(context: FrameContext, camera: str) -> bool:
+async def _is_file_due(context: FrameContext, camera: str) -> bool:
     """Whether a file is due that a file of an opening now would resemble; those that will not come are dropped."""
     now_s = context.clock.monotonic()
     rows = card_records.owed_files(context.recorder.journal, camera)
@@ -134,12 +134,12 @@ async def _awaits(context: FrameContext, camera: str) -> bool:
     if dropped:
         await context.recorder.write(card_records.forget_owed, camera, dropped)
     return any(
-        now_s < context.late_s(opening) and not context.clocks.can_tell_apart(camera, opening, now_s)
+        now_s < context.late_s(opening) and not context.clocks.can_distinguish(camera, opening, now_s)
         for opening in (context.opening(owed) for owed in rows if owed not in dropped)
     )
 
 
-async def unexplained(context: FrameContext, camera: str, on_card: list[CardFile]) -> list[CardFile]:
+async def unaccounted_files(context: FrameContext, camera: str, on_card: list[CardFile]) -> list[CardFile]:
     """RAW files, written to their end, that the journal does not account for."""
     known = card_records.card_files(context.recorder.journal, camera)
     others = context.others.setdefault(camera, set())
@@ -173,7 +173,7 @@ async def set_aside(context: FrameContext, camera: str, file: CardFile) -> None:
     )
 
 
-async def wait_own(
+async def wait_frames(
     context: FrameContext, opening: Opening, seen: Mapping[str, frozenset[int]], *, is_outside: bool = False
 ) -> dict[str, CardFile]:
     """Each camera's own file of this opening.
@@ -194,12 +194,12 @@ async def wait_own(
     """
     cameras = context.rig.cameras
     files = await gather_or_cancel(
-        _wait_own(context, name, opening, seen.get(name, frozenset()), is_outside) for name in cameras
+        _wait_frame(context, name, opening, seen.get(name, frozenset()), is_outside) for name in cameras
     )
     return dict(zip(cameras, files, strict=True))
 
 
-async def wait_released(context: FrameContext, opened_at: datetime, exposure_s: float) -> dict[str, CardFile]:
+async def wait_external_frames(context: FrameContext, opened_at: datetime, exposure_s: float) -> dict[str, CardFile]:
     """Each camera's own file of a release that an outside system caused; the cameras' clocks are learned from them.
 
     Parameters
@@ -212,16 +212,16 @@ async def wait_released(context: FrameContext, opened_at: datetime, exposure_s: 
     Raises
     ------
     TransportError, DeviceError
-        As `wait_own`: a body that missed the release must not lend it the next one's file.
+        As `wait_frames`: a body that missed the release must not lend it the next one's file.
     """
     passed_s = (context.clock.now() - opened_at).total_seconds()
     opening = Opening("", "", context.clock.monotonic() - passed_s, exposure_s)
-    files = await wait_own(context, opening, {}, is_outside=True)
-    context.clocks.follow(files, opening)
+    files = await wait_frames(context, opening, {}, is_outside=True)
+    context.clocks.update(files, opening)
     return files
 
 
-async def _wait_own(
+async def _wait_frame(
     context: FrameContext, camera: str, opening: Opening, seen: frozenset[int], is_outside: bool
 ) -> CardFile:
     clock, clocks = context.clock, context.clocks
@@ -270,8 +270,8 @@ async def _wait_own(
         )
     if foreign is not None:
         raise DeviceError(
-            f"{foreign.name} was taken {clocks.off_s(camera, foreign, opening):+.1f} s away from this opening and "
-            "belongs to another one; the capture is repeated",
+            f"{foreign.name} was taken {clocks.deviation_s(camera, foreign, opening):+.1f} s away from this opening "
+            "and belongs to another one; the capture is repeated",
             device=camera,
         )
     waited_s = clock.monotonic() - opening.opened_s

@@ -132,7 +132,7 @@ class _CameraClock:
     stamp_s: float | None = None
 
     @property
-    def is_useless(self) -> bool:
+    def is_unreliable(self) -> bool:
         """Whether it says nothing: it stands still, or jumps with each shot."""
         return self.misfits >= MISFITS
 
@@ -159,15 +159,15 @@ class CameraClocks:
         clock = self._clocks.get(camera)
         return None if clock is None else clock.offset_s
 
-    def can_tell_apart(self, camera: str, opening: Opening, now_s: float) -> bool:
+    def can_distinguish(self, camera: str, opening: Opening, now_s: float) -> bool:
         """Whether a file of this opening cannot be taken for one of an opening from now on."""
         clock = self._clocks.get(camera)
-        return clock is not None and not clock.is_useless and now_s > opening.opened_s + 2.0 * TOLERANCE_S
+        return clock is not None and not clock.is_unreliable and now_s > opening.opened_s + 2.0 * TOLERANCE_S
 
     def owner(self, camera: str, file: CardFile, openings: Sequence[Opening]) -> Opening | None:
         """Which of these openings, oldest first, a file is of; without a useful clock the oldest."""
         clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
-        if clock is None or clock.is_useless or stamp_s is None:
+        if clock is None or clock.is_unreliable or stamp_s is None:
             return next(iter(openings), None)
         return next((opening for opening in openings if clock.fits(stamp_s, opening)), None)
 
@@ -185,7 +185,7 @@ class CameraClocks:
         """
         by_order = FileOrigin.UNCLEAR if owed else FileOrigin.OWN
         clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
-        if clock is None or clock.is_useless or stamp_s is None:
+        if clock is None or clock.is_unreliable or stamp_s is None:
             return by_order
         is_own, is_earlier = clock.fits(stamp_s, opening), any(clock.fits(stamp_s, other) for other in owed)
         if is_own:
@@ -202,12 +202,12 @@ class CameraClocks:
         clock.rival_s, clock.stamp_s = apparent_s, stamp_s
         return FileOrigin.FOREIGN
 
-    def off_s(self, camera: str, file: CardFile, opening: Opening) -> float:
+    def deviation_s(self, camera: str, file: CardFile, opening: Opening) -> float:
         """How far a file's time is from an opening, seconds; 0 where that is unknown."""
         clock, stamp_s = self._clocks.get(camera), camera_seconds(file.captured_at)
         return 0.0 if clock is None or stamp_s is None else stamp_s - opening.opened_s - clock.offset_s
 
-    def follow(self, files: Mapping[str, CardFile], opening: Opening) -> None:
+    def update(self, files: Mapping[str, CardFile], opening: Opening) -> None:
         """These files are of this opening: learn the clocks from them."""
         for camera, file in files.items():
             stamp_s = camera_seconds(file.captured_at)
@@ -223,7 +223,7 @@ class CameraClocks:
                 clock.misfits = 0 if is_set_anew else before.misfits + 1
                 clock.rival_s = apparent_s
 
-    def doubt(self, camera: str) -> None:
+    def invalidate(self, camera: str) -> None:
         """The camera was away and may have another time now."""
         clock = self._clocks.get(camera)
         if clock is not None:
@@ -234,7 +234,7 @@ def _near(lags: tuple[float, ...], others: tuple[float, ...]) -> bool:
     return all(abs(one - other) <= LAG_TOLERANCE_S for one, other in zip(lags, others, strict=True))
 
 
-class Arrivals:
+class ReleasePairing:
     """Sorts files that outside releases made into captures: one from every camera within a window.
 
     Parameters

@@ -15,7 +15,7 @@ from labdaemon.capture.collect import clear_card, identity, is_known, store
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.inspect_file import inspect
-from labdaemon.capture.own_frames import LIST_S, set_aside, unexplained
+from labdaemon.capture.own_frames import LIST_S, set_aside, unaccounted_files
 from labdaemon.capture.paths import capture_folder, frame_path, set_aside_path
 from labdaemon.capture.rig import CALL_S, DeviceHandle
 from labdaemon.errors import DeviceError
@@ -45,7 +45,7 @@ async def recover(context: AcquisitionContext) -> None:
         if capture.state != "exposed" or not await _complete(context, capture, on_cards):
             await _give_up(context, capture, on_cards)
     for name, files in on_cards.items():
-        await _settle_rest(context, name, files)
+        await _set_aside_leftovers(context, name, files)
 
 
 async def _list(context: AcquisitionContext, name: str) -> list[CardFile]:
@@ -145,7 +145,7 @@ async def _give_up(context: AcquisitionContext, capture: CaptureRecord, on_cards
         place = await context.recorder.on_disk(_move_aside, context.data, frame, path)
         moved[frame.path] = str(place.relative_to(context.data))
     for name, files in on_cards.items():
-        for file in await unexplained(context.frames, name, files):
+        for file in await unaccounted_files(context.frames, name, files):
             await store(
                 context.rig.cameras[name],
                 file,
@@ -174,14 +174,14 @@ def _move_aside(data: Path, frame: FrameRecord, to: Path) -> Path:
     raise AssertionError("numbers do not end")
 
 
-async def _settle_rest(context: AcquisitionContext, name: str, files: list[CardFile]) -> None:
+async def _set_aside_leftovers(context: AcquisitionContext, name: str, files: list[CardFile]) -> None:
     """Set aside what a capture that was given up is owed; all else on the card is somebody else's, and is left alone.
 
     A file that is still being written is neither: it is looked at before the next release.
     """
     owed = context.frames.owed(name)
     if owed:
-        for file in await unexplained(context.frames, name, files):
+        for file in await unaccounted_files(context.frames, name, files):
             if context.clocks.owner(name, file, owed) is not None:
                 await set_aside(context.frames, name, file)
                 files = [other for other in files if other.handle != file.handle]
@@ -217,5 +217,5 @@ async def reconnect_suspects(context: AcquisitionContext) -> None:
         if device is rig.trigger:
             context.table.enabled = False
         context.exposures_s.pop(name, None)
-        context.clocks.doubt(name)
+        context.clocks.invalidate(name)
         context.suspect_devices.discard(name)

@@ -59,22 +59,22 @@ class TableMonitor:
     async def run(self) -> None:
         """Watch until cancelled."""
         while True:
-            missed = await self.look()
+            missed = await self.poll()
             await self._clock.sleep(SECOND_ASK_S if missed else ROUND_S)
 
-    async def look(self) -> bool:
+    async def poll(self) -> bool:
         """One round; whether a device did not answer that is not yet given up as lost."""
         self._rounds += 1
-        await asyncio.gather(self._look_at_shaker(), self._look_at_trigger(), self._look_at_gauge())
-        await self._see_rest()
+        await asyncio.gather(self._check_shaker(), self._check_trigger(), self._check_gauge())
+        await self._check_rest()
         return any(0 < misses < MISSES for misses in self._misses.values())
 
-    async def _look_at_shaker(self) -> None:
+    async def _check_shaker(self) -> None:
         shaker = self._rig.shaker
         if shaker is None:
             return
-        exc = await self._table.observer.look_at_shaker()
-        if not self._misses_it(shaker, exc):
+        exc = await self._table.observer.query_shaker()
+        if not self._becomes_lost(shaker, exc):
             return
         assert exc is not None
         moving = self._table.excitation is not None
@@ -84,7 +84,7 @@ class TableMonitor:
         elif self._table.unconfirmed is None:  # read back or not, it must be seen again
             self._table.unconfirmed = rest_unconfirmed(self._table.observer.evidence(), [str(exc)])
 
-    async def _look_at_trigger(self) -> None:
+    async def _check_trigger(self) -> None:
         trigger = self._rig.trigger
         if trigger is None:
             return
@@ -92,8 +92,8 @@ class TableMonitor:
         if name in self.lost:
             await self._reconnect(trigger)
             return
-        exc = await self._table.observer.look_at_trigger()
-        if self._misses_it(trigger, exc):
+        exc = await self._table.observer.query_trigger()
+        if self._becomes_lost(trigger, exc):
             assert exc is not None
             self.report(_lost(exc, trigger, self._table.excitation is not None), "open it anew")
         # Up although nothing of ours raised it: an earlier process did, and the question itself holds it up. A line
@@ -112,17 +112,17 @@ class TableMonitor:
         else:
             self._table.observer.line_down = True
 
-    async def _look_at_gauge(self) -> None:
+    async def _check_gauge(self) -> None:
         """Look at a resting table's own motion; a gauge that fell silent is connected to anew."""
         gauge = self._rig.gauge("table")
         if gauge is None or self._table.excitation is not None or self._rounds % GAUGE_ROUNDS:
             return
-        if await self._table.observer.look_at_gauge() is None:
+        if await self._table.observer.query_gauge() is None:
             return
         with suppress(LabdaemonError):  # it is asked again soon; a campaign that needs it says what is wrong
             await gauge.call(lambda driver: driver.connect(), CONNECT_S)
 
-    def _misses_it(self, device: DeviceHandle[Any], exc: LabdaemonError | None) -> bool:
+    def _becomes_lost(self, device: DeviceHandle[Any], exc: LabdaemonError | None) -> bool:
         """Count misses; True when it has just become lost."""
         name = device.driver.name
         if exc is None:
@@ -148,7 +148,7 @@ class TableMonitor:
         self._misses.pop(device.driver.name, None)
         log.warning("%s was opened anew and answers again", device.driver.name)
 
-    async def _see_rest(self) -> None:
+    async def _check_rest(self) -> None:
         """A table that should rest: stopped again where nothing confirmed it, reported where it moves by itself."""
         table = self._table
         if self._rig.shaker is None or table.excitation is not None:

@@ -86,10 +86,10 @@ class TableObserver:
 
     async def look(self, *, gauge: bool = True) -> TableEvidence:
         """Ask all that can see, at once; who does not answer saw nothing."""
-        await asyncio.gather(self.look_at_shaker(), self.look_at_gauge() if gauge else _nothing())
+        await asyncio.gather(self.query_shaker(), self.query_gauge() if gauge else _nothing())
         return self.evidence()
 
-    async def look_at_shaker(self) -> LabdaemonError | None:
+    async def query_shaker(self) -> LabdaemonError | None:
         """Ask the controller; what was wrong with its answer, None if nothing was."""
         if self._rig.shaker is None:
             return None
@@ -103,7 +103,7 @@ class TableObserver:
             self.frequency_hz = state.frequency_hz
         return None
 
-    async def look_at_trigger(self) -> LabdaemonError | None:
+    async def query_trigger(self) -> LabdaemonError | None:
         """Ask the trigger device, which holds its line or says that it is down; what was wrong, None if nothing was."""
         trigger = self._rig.trigger
         if trigger is None:
@@ -118,7 +118,7 @@ class TableObserver:
             self.line_down = False
         return None
 
-    async def look_at_gauge(self) -> LabdaemonError | None:
+    async def query_gauge(self) -> LabdaemonError | None:
         """See whether the table gauge sees motion, in records that begin now; what was wrong with it, None if nothing.
 
         One record of noise in a hundred reads above three standard deviations, so only several in a row are motion.

@@ -34,7 +34,7 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
     taken = records.captures_by_step(journal, record.id if record is not None else transitions.MANUAL)
     report: dict[str, Any] = {
         "state": "idle" if record is None else ("paused" if record.state == "paused" else "running"),
-        "doing": engine.step_runner.doing,
+        "doing": engine.step_runner.activity,
         "campaign": record.id if record else None,
         "name": record.name if record else None,
         "reason": record.reason if record else None,

@@ -69,7 +69,7 @@ def test_a_campaign_rests_while_the_journal_takes_nothing_and_ends_by_itself(sim
         with trouble(lab):
             await lab.clock.sleep(30.0)
             assert not lab.world.moves()
-            assert lab.engine.step_runner.doing == "waiting for the disk"
+            assert lab.engine.step_runner.activity == "waiting for the disk"
             assert lab.engine.reporter.disk_trouble is not None
             await lab.clock.sleep(600.0)
             assert not lab.world.moves()

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.capture.devices import CardFile
-from labdaemon.capture.pairing import Arrivals, CameraClocks, FileOrigin, Opening, camera_seconds, is_frame
+from labdaemon.capture.pairing import CameraClocks, FileOrigin, Opening, ReleasePairing, camera_seconds, is_frame
 
 
 def stamped(seconds: float, name: str = "DSC_0001.NEF") -> CardFile:
@@ -67,14 +67,14 @@ def test_openings_in_order_are_accepted_whatever_the_bodies_clocks_say(gaps, dri
         files = {"left": stamped(opened_s), "right": stamped(opened_s + 900.0 + drift + end_s)}
         for camera, file in files.items():
             assert clocks.judge(camera, file, opening(opened_s, exposure_s)) is FileOrigin.OWN
-        clocks.follow(files, opening(opened_s, exposure_s))
+        clocks.update(files, opening(opened_s, exposure_s))
 
 
 @pytest.mark.parametrize("off_s", [-8.0, -4.0, 5.0, 30.0])
 @pytest.mark.parametrize("exposure_s", [1.0, 10.0])
 def test_a_file_of_another_opening_is_refused(off_s: float, exposure_s: float):
     clocks = CameraClocks()
-    clocks.follow({"right": stamped(100.0)}, opening(100.0, exposure_s))
+    clocks.update({"right": stamped(100.0)}, opening(100.0, exposure_s))
     assert clocks.judge("right", stamped(160.0 + off_s), opening(160.0, exposure_s)) is FileOrigin.FOREIGN
     assert clocks.judge("right", stamped(170.0), opening(170.0, exposure_s)) is FileOrigin.OWN
 
@@ -90,10 +90,10 @@ def test_a_late_file_is_its_own_opening_s_also_after_a_restart():
 
 def test_two_openings_too_near_for_the_clock_are_not_guessed():
     clocks = CameraClocks()
-    clocks.follow({"left": stamped(90.0)}, opening(90.0))
+    clocks.update({"left": stamped(90.0)}, opening(90.0))
     assert clocks.judge("left", stamped(101.0), opening(102.0), [opening(100.0)]) is FileOrigin.UNCLEAR
-    assert not clocks.can_tell_apart("left", opening(100.0), 102.0)
-    assert clocks.can_tell_apart("left", opening(100.0), 106.0)
+    assert not clocks.can_distinguish("left", opening(100.0), 102.0)
+    assert clocks.can_distinguish("left", opening(100.0), 106.0)
 
 
 @pytest.mark.parametrize("captured_at", ["", "20000101T000000"])
@@ -104,35 +104,35 @@ def test_a_body_without_a_useful_clock_is_paired_by_order(captured_at: str):
     for turn in range(6):
         now = opening(100.0 + 20.0 * turn)
         if clocks.judge("left", file, now) is FileOrigin.OWN:
-            clocks.follow({"left": file}, now)
+            clocks.update({"left": file}, now)
         else:
             refused += 1
-            clocks.doubt("left")  # the fault makes the daemon connect anew
+            clocks.invalidate("left")  # the fault makes the daemon connect anew
     assert refused == (1 if captured_at else 0)
     assert clocks.judge("left", file, opening(300.0), [opening(290.0)]) is FileOrigin.UNCLEAR
-    assert not clocks.can_tell_apart("left", opening(100.0), 300.0)
+    assert not clocks.can_distinguish("left", opening(100.0), 300.0)
 
 
 def test_a_clock_that_a_person_sets_costs_one_capture():
     clocks = CameraClocks()
-    clocks.follow({"left": stamped(100.0)}, opening(100.0))
+    clocks.update({"left": stamped(100.0)}, opening(100.0))
     assert clocks.judge("left", stamped(920.0), opening(120.0)) is FileOrigin.FOREIGN
     assert clocks.judge("left", stamped(940.0), opening(140.0)) is FileOrigin.OWN
-    clocks.follow({"left": stamped(940.0)}, opening(140.0))
+    clocks.update({"left": stamped(940.0)}, opening(140.0))
     assert clocks.judge("left", stamped(150.0), opening(160.0)) is FileOrigin.FOREIGN
     assert clocks.judge("left", stamped(960.0), opening(160.0)) is FileOrigin.OWN
 
 
 def test_a_body_that_was_away_may_come_back_with_another_time():
     clocks = CameraClocks()
-    clocks.follow({"left": stamped(100.0)}, opening(100.0))
-    clocks.doubt("left")
+    clocks.update({"left": stamped(100.0)}, opening(100.0))
+    clocks.invalidate("left")
     assert clocks.judge("left", stamped(900.0), opening(120.0), [opening(110.0)]) is FileOrigin.UNCLEAR
     assert clocks.judge("left", stamped(900.0), opening(120.0)) is FileOrigin.OWN
 
 
 def test_files_of_outside_releases_are_sorted_into_captures():
-    arrivals = Arrivals(("left", "right"), 5.0)
+    arrivals = ReleasePairing(("left", "right"), 5.0)
     first, second = stamped(1.0, "A.NEF"), stamped(9.0, "B.NEF")
     assert arrivals.add("left", first, 1.0) is None
     assert arrivals.add("left", second, 2.0) is None
@@ -143,7 +143,7 @@ def test_files_of_outside_releases_are_sorted_into_captures():
 
 
 def test_a_release_that_one_body_missed_does_not_pair_its_next_frame_with_the_others_last():
-    arrivals = Arrivals(("left", "right"), window_s=5.0)
+    arrivals = ReleasePairing(("left", "right"), window_s=5.0)
     skew_s = 300.0  # the bodies' clocks are minutes apart
     assert arrivals.add("left", stamped(10), 100.0) is None
     assert arrivals.add("right", stamped(10 + skew_s), 100.4) is not None
@@ -157,7 +157,7 @@ def test_a_release_that_one_body_missed_does_not_pair_its_next_frame_with_the_ot
 
 
 def test_a_clock_that_was_set_costs_one_capture_and_no_clock_pairs_by_order():
-    arrivals = Arrivals(("left", "right"), window_s=5.0)
+    arrivals = ReleasePairing(("left", "right"), window_s=5.0)
     paired = []
     for number in range(6):
         lag_s = 0.0 if number < 2 else 50.0  # somebody sets the right one's clock
@@ -166,6 +166,6 @@ def test_a_clock_that_was_set_costs_one_capture_and_no_clock_pairs_by_order():
         paired.append(arrivals.add("right", stamped(10.0 * number + lag_s), at_s + 0.2) is not None)
         arrivals.late(at_s + 9.0)
     assert paired == [True, True, False, True, True, True]
-    blind = Arrivals(("left", "right"), window_s=5.0)
+    blind = ReleasePairing(("left", "right"), window_s=5.0)
     assert blind.add("left", CardFile(1, "a.NEF", 10, ""), 1.0) is None
     assert blind.add("right", CardFile(1, "b.NEF", 10, ""), 2.0) is not None

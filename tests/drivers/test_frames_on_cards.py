@@ -10,7 +10,7 @@ import pytest
 
 from labdaemon.capture.collect import store, wait_frame
 from labdaemon.capture.device_executor import ThreadExecutor
-from labdaemon.capture.own_frames import FrameContext, prepare_cameras, wait_own
+from labdaemon.capture.own_frames import FrameContext, prepare_cameras, wait_frames
 from labdaemon.capture.pairing import CameraClocks, Opening
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.rig import DeviceHandle, Rig
@@ -68,7 +68,7 @@ async def test_a_frame_is_whole_whatever_size_the_body_says_at_first(rig, body, 
     """Half the size, said for longer than it takes to believe it, is seen through by the file's own structure."""
     body.faults.inject(fault, value=value)
     opening = shoot(rig, body, wait=False)
-    file = (await wait_own(context, opening, {}))["left"]
+    file = (await wait_frames(context, opening, {}))["left"]
     handle = next(handle for handle in body.card.handles() if body.card.get(handle).path is not None)
     whole = body.card.read(body.card.get(handle), 0, 1 << 24)
     assert await keep(context, file) == whole
@@ -80,7 +80,7 @@ async def test_a_file_that_is_never_written_is_no_frame_and_stays(rig, body, con
     body.faults.inject("half_size", value=600.0)
     context.timeout_s = lambda: 2.0
     with pytest.raises(TransportError, match=r"DSC_0001\.DNG is not written to its end"):
-        await wait_own(context, shoot(rig, body), {})
+        await wait_frames(context, shoot(rig, body), {})
     assert on_card(body) == ["DSC_0001.DNG"]
     assert not list(context.data.rglob("*.dng*"))
 
@@ -103,7 +103,7 @@ async def test_companions_of_a_frame_stay_on_the_card(rig, body, context, camera
         body.faults.inject("no_partial")
         camera.connect()
     for turn in range(2):
-        file = (await wait_own(context, shoot(rig, body), {}))["left"]
+        file = (await wait_frames(context, shoot(rig, body), {}))["left"]
         assert file.name == f"DSC_000{turn + 1}.DNG"
         await keep(context, file, f"{turn}.dng")
         await prepare_cameras(context)
@@ -114,9 +114,9 @@ async def test_companions_of_a_frame_stay_on_the_card(rig, body, context, camera
 
 async def test_broken_foreign_objects_are_passed_over(rig, body, context):
     body.faults.inject("broken_object", count=1)
-    await keep(context, (await wait_own(context, shoot(rig, body), {}))["left"])
+    await keep(context, (await wait_frames(context, shoot(rig, body), {}))["left"])
     await prepare_cameras(context)
-    await keep(context, (await wait_own(context, shoot(rig, body), {}))["left"], "next.dng")
+    await keep(context, (await wait_frames(context, shoot(rig, body), {}))["left"], "next.dng")
     assert len(on_card(body)) == 2
 
 
@@ -128,7 +128,7 @@ async def test_a_file_of_before_the_release_is_not_its_own(rig, body, context):
     seen = await prepare_cameras(context)
     assert len(seen["left"]) == 1
     body.faults.clear("half_size")
-    own = (await wait_own(context, shoot(rig, body), seen))["left"]
+    own = (await wait_frames(context, shoot(rig, body), seen))["left"]
     assert own.name == "DSC_0002.DNG"
     await keep(context, own)
     await prepare_cameras(context)
