@@ -2,8 +2,8 @@
 
 Fisher's information is J' C⁻¹ J with J the derivatives of the noise-free image, taken numerically from the renderer,
 and C the covariance of its pixels: photon and read noise, which are independent, and the paper's texture, which is not.
-The texture moves with the paper, so the motion blurs it: its spectrum is multiplied by that of the path's dwell time.
-Counted as unknown: position, motion in both directions, ink and paper in each colour, and a slope of the light.
+The texture moves with the paper, so the motion blurs it: the path's dwell time multiplies its spectrum.
+Unknowns are position, motion in both directions, ink and paper in each colour, and a slope of the light.
 """
 
 from __future__ import annotations

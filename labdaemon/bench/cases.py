@@ -1,4 +1,4 @@
-"""What is rendered: one set-up a case, all after the paper's (D80, 24 mm, f/32, ISO 100, 1 m away)."""
+"""The rendered cases: one set-up each, all after that of McCarthy 2016 (D80, 24 mm, f/32, ISO 100, 1 m away)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class AccuracyCase:
     options
         For the folder maker, on top of `BASE`.
     paper
-        Whether the paper's method is run on it as well.
+        Whether the method of McCarthy 2016 is run on it as well.
     pooled
         Whether it counts for the pooled figures.
     phased

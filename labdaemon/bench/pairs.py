@@ -53,7 +53,7 @@ class MotionComparison:
 
     @property
     def compared(self) -> bool:
-        """Whether there is a number that the report stands by."""
+        """Whether the report has a number without a flag that spoils it."""
         return bool(np.isfinite(self.a).all()) and not self.flags - HARMLESS
 
     @property

@@ -119,7 +119,7 @@ def _quantile(values: Sequence[float] | FloatArray, share: float) -> float:
 
 
 def _normal_quantile(sds: Sequence[float], share: float) -> float:
-    """What a share of the absolute values of independent normal errors with these deviations lies within."""
+    """Quantile of the absolute values of independent normal errors with these standard deviations."""
     if not sds:
         return math.nan
     sd = np.asarray(sds, float)

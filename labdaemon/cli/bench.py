@@ -14,7 +14,7 @@ from labdaemon.errors import UsageError
 ELSEWHERE = {name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock")} | {
     "world": "labdaemon.bench.world.command:command"
 }
-"""Subcommands that live with what they try out; imported only when asked for."""
+"""Subcommands defined in the benches' own modules; imported only when called."""
 
 
 class _BenchGroup(click.Group):

@@ -1,4 +1,4 @@
-"""`labdaemon calibrate`: what is measured once and believed for a long time."""
+"""`labdaemon calibrate`: what is measured once and used for a long time."""
 
 from __future__ import annotations
 
@@ -32,4 +32,4 @@ class LazyKinds(click.Group):
 
 @click.group(cls=LazyKinds)
 def calibrate() -> None:
-    """Calibrate what measures."""
+    """Calibrate the measuring equipment."""

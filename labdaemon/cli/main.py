@@ -33,7 +33,7 @@ COMMANDS = {
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
     "bench": ("labdaemon.cli.bench:bench", "Measure labdaemon itself."),
 }
-"""Subcommand -> where it lives and its line in `--help`. Imported only when called, so that `stop` starts at once."""
+"""Subcommand -> its function, and its line in `--help`. Imported only when called, so that `stop` starts at once."""
 
 STDERR_MS = 1000
 """How long the last line waits for a reader of stderr."""

@@ -16,11 +16,11 @@ from labdaemon.processing.thumbnails import Thumbnail
 
 TAG_FAMILY = "apriltag-36h11"
 SD_CENTRE_PX = 0.03
-"""What a control target's centre is good to at best: print, paper that is not flat, lens model."""
+"""Least standard deviation of a control target's centre: print, paper that is not flat, lens model."""
 SD_UNFITTED_PX = 0.3
-"""A tag whose sides could not be fitted keeps its corners as first seen."""
+"""Standard deviation of a tag whose sides could not be fitted: it keeps its corners as detected."""
 WIDEST_PX = 56
-"""Of a control target no more than this is compared with later frames: enough edges, and quick."""
+"""Widest part of a control target that is compared with later frames: enough edges, and quick."""
 RIM_PX = 8
 
 
@@ -106,7 +106,7 @@ def find_control(
     family
         Their kind.
     lens
-        Interior orientation, for the centres of tags that a lens bends.
+        Interior orientation, for the centres of tags that a lens distorts.
     known
         Names in the survey; others are passed over. None takes all.
 
@@ -187,7 +187,7 @@ def _rings(frame: RawFrame, frames: Sequence[RawFrame], grey: Grey, family: str)
 
 
 def _centre(tag: Tag, lens: Lens) -> FloatArray:
-    """Centre of a tag on a lens that bends its sides."""
+    """Centre of a tag whose sides the lens distorts."""
     centre: FloatArray = lens.distort(centre_of(lens.undistort(tag.corners_px))[None])[0]
     return centre if np.isfinite(centre).all() else tag.centre_px
 
@@ -205,7 +205,7 @@ def _box(one: _DetectedControlTarget, size: tuple[int, int]) -> tuple[int, int, 
 
 
 def _cut_with_rim(frame: RawFrame, box: tuple[int, int, int, int]) -> Patch:
-    """The box with a rim: what lies outside is blurred into it."""
+    """Cut the box with a rim around it, since what lies outside is blurred into the box."""
     width, height = frame.size
     x0, y0 = max(box[0] - RIM_PX, 0), max(box[1] - RIM_PX, 0)
     x1, y1 = min(box[0] + box[2] + RIM_PX, width), min(box[1] + box[3] + RIM_PX, height)

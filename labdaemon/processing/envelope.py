@@ -27,7 +27,7 @@ from labdaemon.processing.tables import Row, envelope_row, measurement_row
 SPOILING_FLAGS = frozenset(
     {Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT, Flag.AMBIGUOUS}
 )
-"""Flags for which a camera is left out where two others see a target well."""
+"""Flags for which a camera is left out where two others see a target without them."""
 ORBIT_AXIS_RATIO = 0.02
 """Ratio of the axes from which a path in space is an orbit, and has no sign."""
 
@@ -159,7 +159,7 @@ def _map_to_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict
 
 def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, OrientedCamera]:
     """Each camera as it stood in this capture."""
-    # The captures of a group lie apart by less than a camera moves; the first one's place stands for all.
+    # The captures of a group lie apart by less than a camera moves; the first one's place is taken for all.
     return {
         camera.name: frame.motions[0].camera if frame.motions else camera.view
         for camera, frame in zip(sharp.cameras, frames, strict=True)
@@ -169,7 +169,7 @@ def _views(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, Oriented
 def _intersect_in_space(
     sharp: SharpSet, views: Mapping[str, OrientedCamera], by_target: _Seen, evidence: Mapping[str, Mapping[str, float]]
 ) -> dict[str, ObjectMotion]:
-    """Several cameras: what their rays say together."""
+    """Intersect the rays of several cameras."""
     image_motions = {
         target: {camera: _image_motion(one) for camera, one in _select_clean(seen).items()}
         for target, seen in by_target.items()
@@ -188,7 +188,7 @@ def _sign(
     seen: Mapping[str, Measurement],
     evidence: Mapping[str, float],
 ) -> int:
-    """Sign of a target's a in space by its cameras' evidence; 0 where they do not know, or contradict each other."""
+    """Sign of a target's a in space by its cameras' evidence; 0 where they have none, or contradict each other."""
     if Flag.AMBIGUOUS in motion.flags or np.linalg.norm(motion.b_mm) > ORBIT_AXIS_RATIO * np.linalg.norm(motion.a_mm):
         return 0
     turned = []
@@ -215,7 +215,7 @@ def _has_numbers(measurement: Measurement) -> bool:
 
 
 def _select_clean(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
-    """The cameras that a target's motion is taken from: all, or the clean ones where two or more are clean."""
+    """Select the cameras for a target's motion: those without a spoiling flag where two or more are, else all."""
     measured = {camera: one for camera, one in seen.items() if _has_numbers(one)}
     clean = {camera: one for camera, one in measured.items() if not one.flags & SPOILING_FLAGS}
     return clean if len(clean) >= 2 else measured

@@ -28,7 +28,7 @@ TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
 
 
 class CameraOpening(BaseModel):
-    """What one body's own shutter did, where it was measured."""
+    """Opening and exposure time of one body's own shutter, where measured."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
     phase_rad: Finite | None = None
@@ -36,7 +36,7 @@ class CameraOpening(BaseModel):
 
 
 class CaptureFile(BaseModel):
-    """`capture.toml`: what is known of one capture."""
+    """`capture.toml`: excitation, exposure and light of one capture, as far as known."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
     frequency_hz: Positive | None = None

@@ -60,9 +60,9 @@ class FrameResult:
     measurements
         One a target, in the order of the prepared camera's.
     shifts
-        What the control targets say of each frame.
+        The control targets' measurement of each frame's shift.
     motions
-        How the camera stood in each frame; empty without a survey.
+        The camera's motion since the sharp frame, for each frame; empty without a survey.
     evidence
         For each target, twice the logarithm of the odds that it stood on the side of +a and not of −a at the middle of
         the exposure, by the phase that it shares with the others (`find_relative_signs`); empty for whole cycles and
@@ -181,7 +181,7 @@ def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: 
 def _camera_motion(
     camera: PreparedCamera, shifted: FrameShift, control: Sequence[SurveyedPoint], file: Path
 ) -> CameraMotion | None:
-    """How the camera stood in this frame."""
+    """The camera's motion between the sharp frame and this one; None without a survey."""
     if camera.orientation is None:
         return None
     places = {point.name: (point.x_mm, point.y_mm, point.z_mm) for point in control}
@@ -209,7 +209,7 @@ def _has_moved(shift: FrameShift) -> bool:
 
 
 def _cut(frame: RawFrame, target: SharpTarget, smear: BlurredTarget) -> Patch:
-    """The part of a frame that holds a smear and some paper around it."""
+    """Cut a smear and some paper around it from a frame."""
     half_w, half_h = target.form.half_size_px
     path = np.hypot(smear.a_px, smear.b_px)
     # The search's lengths come in steps of a quarter; the fit wants paper on all sides.
@@ -224,7 +224,7 @@ def _with_white(
 ) -> Measurement:
     """A measurement, flagged `saturated` where the paper is at white level in all channels, at rest or moving.
 
-    The fit then takes the paper's brightness from the blurred edge alone, and is wrong by more than it knows.
+    The fit then takes the paper's brightness from the blurred edge alone, and its error exceeds its standard deviation.
     """
     if not np.isfinite(one.a_px).all():
         return one
@@ -274,7 +274,7 @@ def _missing_target(located: _LocatedTargets, target: SharpTarget) -> Measuremen
 def _fit_inputs(
     camera: PreparedCamera, located: _LocatedTargets
 ) -> tuple[list[int], list[SharpTarget], list[Patch], list[InitialGuess]]:
-    """The targets that are in a frame: their places in the list, themselves, their smears and where to begin."""
+    """Inputs of the fits: index of each target that was found, the target, its patch and its initial guess."""
     seen = [(index, smear) for index, smear in enumerate(located.smears) if smear is not None]
     targets = [camera.targets[index] for index, _ in seen]
     cuts = [_cut(located.frame, target, smear) for target, (_, smear) in zip(targets, seen, strict=True)]

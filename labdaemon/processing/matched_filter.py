@@ -1,4 +1,4 @@
-"""Blurred dots as matched filters see them: what a dot may look like after a second of motion, and where it lies.
+"""Matched filters for blurred dots: templates of a dot after a second of motion, and the search for its place.
 
 The image is reduced until a dot is a few pixels across, so that a search over place, length and direction of the
 smear stays cheap. Normalised correlation takes paper white, ink and contrast out of the comparison. The result is a
@@ -105,7 +105,7 @@ def _draw_template(semi_major: float, semi_minor: float, angle_rad: float, a: Fl
     for phase in phases:
         dx, dy = x - a[0] * np.sin(phase) - b[0] * np.cos(phase), y - a[1] * np.sin(phase) - b[1] * np.cos(phase)
         along, across = (dx * cos + dy * sin) / semi_major, (dy * cos - dx * sin) / semi_minor
-        # An edge one reduced pixel wide stands for lens blur and reduction together.
+        # An edge one reduced pixel wide models lens blur and reduction together.
         total += np.clip(0.5 + (1.0 - np.hypot(along, across)) * semi_minor, 0.0, 1.0)
     return cast(GreyImage, (total / steps).astype(np.float32))
 
@@ -199,7 +199,7 @@ def _moments_of(dark: GreyImage) -> tuple[float, float, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SearchWindow:
-    """Part of the reduced image about a place: where it begins, and the place in it."""
+    """Part of the reduced image around a place: its first column and row, and the place in it."""
 
     image: GreyImage
     left: int

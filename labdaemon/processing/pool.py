@@ -66,7 +66,7 @@ def _end_with_parent() -> None:
 
 
 class _WorkerLost(Exception):
-    """A task did not end by itself; the text says what became of it."""
+    """A task's worker died or outstayed its deadline; the text says which."""
 
 
 class _Generation:

@@ -1,4 +1,4 @@
-"""What a camera's sharp frames say once for all captures: its targets, its control targets, where it stands."""
+"""A camera's sharp frames, read once for all captures: its targets, its control targets, its orientation."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from labdaemon.processing.thumbnails import Thumbnail
 
 LEAST_CONTROL = 4
 ORDINARY_PX = (12.0, 200.0)
-"""Diameters of dots that are looked for where nothing is known of their size or distance."""
-LEAST_SMEARED, SMEARED_PART = 2, 0.2
-"""Smeared dots, and their part of all, from which a sharp frame is not believed."""
+"""Diameters of dots that are searched where their size and distance are unknown."""
+LEAST_BLURRED, BLURRED_SHARE = 2, 0.2
+"""Number and share of blurred dots from which a whole sharp frame counts as blurred."""
 SMALLEST_PX = 7.0
 """Diameter below which a dot cannot be distinguished from anything else."""
 
@@ -244,12 +244,12 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
 
 
 def _flag_blurred_set(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:
-    """The dots, all of them flagged where so many look smeared that the structure was not at rest.
+    """Flag all dots where so many are blurred that the structure was not at rest.
 
     A dot that moved by parts of a pixel while it was taken looks sharp, but what is measured against it is wrong.
     """
-    smeared = sum(Flag.POOR_FIT in target.flags for _, target in usable)
-    if smeared < max(LEAST_SMEARED, SMEARED_PART * len(usable)):
+    blurred = sum(Flag.POOR_FIT in target.flags for _, target in usable)
+    if blurred < max(LEAST_BLURRED, BLURRED_SHARE * len(usable)):
         return usable
     return [(dot, replace(target, flags=target.flags | {Flag.POOR_FIT})) for dot, target in usable]
 

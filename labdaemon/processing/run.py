@@ -17,7 +17,7 @@ from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder,
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, write_csv
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many parts of it are done, and of how many."""
+"""Called with the name of the work in progress, the number of its parts that are done, and of all its parts."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from labdaemon.processing.stations import detected_dots, excluded, orient_camera
 from labdaemon.processing.survey import SurveyedPoint
 
 SIZE_TOLERANCE = 0.25
-"""How far a dot's size may be from nominal, relative, before it is taken for clutter."""
+"""Largest relative difference of a dot's size from nominal; others are clutter."""
 SAME_PLACE_MM = 15.0
 """How far a target of a later sharp set may lie from its place in the first and keep its name."""
 
@@ -202,7 +202,7 @@ def _plane(camera: PreparedCamera, folder: DataFolder) -> Plane:
 def _select_by_size(
     seen: DetectedDots, plane: Plane, sizes: tuple[float, ...], folder: DataFolder, files: SharpFiles
 ) -> NDArray[np.intp]:
-    """Dots whose size in the plane is one of those in use."""
+    """Select the dots whose size in the plane is one of those in use."""
     places = plane.to_object(plane.to_plane(seen.centres_px))
     depth = seen.view.to_camera_axes(places)[:, 2]
     diameter = 2 * seen.radius_px * depth / np.mean(seen.view.lens.focal_px)

@@ -1,4 +1,4 @@
-"""A frame's own motion: where its control targets lie against the sharp frame, and how much less sharp they are."""
+"""A frame's own motion: the shift, rotation and defocus of its control targets against the sharp frame."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from labdaemon.processing.matched_filter import GreyLike
 from labdaemon.processing.thumbnails import find_thumbnail
 
 REACH_PX = 24
-"""Shift that is found without reading the codes again."""
+"""Largest shift that is found without reading the codes again."""
 LEAST_SCORE = 0.8
-"""Correlation below which a control target is not where it was looked for."""
+"""Correlation below which a control target is not at the searched place."""
 SD_BETWEEN_PX2 = 0.04
 """Variance of the extra blur that a control target gives in a frame shifted by half a pixel: its samples then are
 interpolated from a mosaic, which costs sharpness of its own. Nothing is lost at whole pixels."""
@@ -36,7 +36,7 @@ SD_TURN_PX = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameShift:
-    """What a frame's control targets say of it.
+    """Shift, rotation and defocus of a frame, by its control targets.
 
     Attributes
     ----------

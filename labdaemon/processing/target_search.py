@@ -221,7 +221,7 @@ def _size_classes(targets: Sequence[ExpectedTarget]) -> list[list[int]]:
 
 
 def assign(places: FloatArray, centres: FloatArray, weight: FloatArray, *, least_px: float) -> NDArray[np.intp]:
-    """Say which smear is whose, by a displacement field that is nearly affine.
+    """Assign smears to targets by a displacement field that is nearly affine.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures as SVG text that stands by itself in a page: an envelope seen from the front and the side, and errors.
+"""Figures as SVG text for a page: an envelope seen from the front and the side, and errors.
 
 Colours come from the page's CSS variables (``--ink``, ``--faint``, ``--grid``), so a figure follows its page.
 """
@@ -17,7 +17,7 @@ from labdaemon.orbit_size import is_doubtful
 from labdaemon.report.accuracy import TargetComparison, row_axes
 
 MAGNIFY = 20.0
-"""Motion is drawn this many times larger than the structure, as the paper's Fig. 10 does."""
+"""Motion is drawn this many times larger than the structure, as in McCarthy 2016, Fig. 10."""
 _STOPS = ((59, 111, 182), (108, 92, 201), (170, 71, 188), (222, 66, 118), (233, 84, 52))
 """Small to large amplitude; legible on white and on black."""
 _ORBIT = np.linspace(0.0, 2 * math.pi, 49)

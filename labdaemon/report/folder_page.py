@@ -1,4 +1,4 @@
-"""The page of a data-set folder: gathers what its results and capture files say."""
+"""The page of a data-set folder, from its results and capture files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figure of a camera calibration's residuals: what the lens model leaves over, where in the frame."""
+"""Figure of a camera calibration's residuals: what the lens model does not explain, over the frame."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ class PtpCamera:
             fetch(self._connected(), file, to)
 
     def describe(self, file: CardFile) -> CardFile | None:
-        """What the file's handle stands for now; None if it is gone."""
+        """The file that its handle refers to now; None if it is gone."""
         with self._parsing():
             now = card_file(self._connected(), file.handle)
         if now != file and self._watch is not None:
@@ -226,7 +226,7 @@ class PtpCamera:
         Raises
         ------
         DeviceRefused
-            The handle stands for another file now, or for more bytes than were fetched; nothing is deleted.
+            The handle refers to another file now, or to more bytes than were fetched; nothing is deleted.
         """
         now = self.describe(file)
         if now is not None and now != file:

@@ -27,7 +27,7 @@ def list_handles(session: PtpSession) -> tuple[int, ...]:
 
 
 def object_info(session: PtpSession, handle: int) -> ObjectInfo | None:
-    """What a handle stands for; None if it is gone."""
+    """Information on a handle's file; None if it is gone."""
     try:
         return ObjectInfo.parse(session.call(Op.GET_OBJECT_INFO, handle).data)
     except PtpRefused as exc:

@@ -27,7 +27,7 @@ WALL_X_MM, WALL_Z_MM = (-2300.0, 2300.0), (-900.0, 1700.0)
 WALL_PX_PER_MM = 0.5
 
 FULL_SCALE = 250.0
-"""8-bit value that stands for a reflectance of 1 while drawing."""
+"""8-bit value of a reflectance of 1 while drawing."""
 
 _SHIFT = 4
 

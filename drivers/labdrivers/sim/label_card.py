@@ -30,7 +30,7 @@ def plane_coordinates(
     """Where on a card each image point lies: (rows, columns) of u and of v, mm, for image coordinates `x` and `y`.
 
     The lens is followed from the card to the image at a grid of points; the way back is a polynomial through them,
-    exact to better than 1e-6 of the card's size since distortion hardly bends over so small a piece.
+    exact to better than 1e-6 of the card's size since distortion is nearly linear over so small a piece.
     """
     steps = np.linspace(-1.15, 1.15, 11)
     u, v = (grid.ravel() for grid in np.meshgrid(steps * half_mm[0], steps * half_mm[1]))
@@ -121,7 +121,7 @@ def texture(seed: int, extent_mm: tuple[float, float], length_mm: float) -> tupl
 
 
 def grain_at(scene: Scene, card: int, extent_mm: tuple[float, float], u: FloatArray, v: FloatArray) -> FloatImage:
-    """Relative deviation of a card's reflectance at its plane coordinates."""
+    """Relative difference of a card's reflectance from its mean, at its plane coordinates."""
     if scene.texture == 0.0:
         return np.zeros(u.shape, np.float32)
     image, cell = texture(scene.seed * 10_007 + card, extent_mm, scene.texture_length_mm)

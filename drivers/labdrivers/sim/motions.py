@@ -56,7 +56,7 @@ def random_motions(
     planar
         Keep to the plane of x and z.
     in_phase
-        One phase for all, as in a standing motion; which way each goes first stays random.
+        One phase for all, as in an in-phase motion; the sign of each stays random.
     """
     motions: dict[str, Harmonic] = {}
     common = rng.uniform(0.0, 2.0 * np.pi) if in_phase else None

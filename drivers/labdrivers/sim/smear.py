@@ -1,4 +1,4 @@
-"""Dots and control targets, still or smeared: drawings added up over the moments of an exposure."""
+"""Dots and control targets, static or blurred: drawings added up over the moments of an exposure."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ DEFAULT_MODES = (
     VibrationMode(8.5, 0.018, 1, (0.12, 0.20), 9.0e-4),
     VibrationMode(12.7, 0.015, 3, (0.34, 0.08), -3.0e-4),
 )
-"""Sway along the table; sway across it with torsion; second bending. Just above the paper's 5, 8 and 12 Hz."""
+"""Sway along the table; sway across it with torsion; second bending. Just above the 5, 8 and 12 Hz of McCarthy 2016."""
 
 
 @dataclass(frozen=True, slots=True)

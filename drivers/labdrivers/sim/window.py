@@ -1,4 +1,4 @@
-"""A rectangle of the frame, finely divided: sharp shapes by area sampling, smeared by where they really went.
+"""A rectangle of the frame, finely divided: sharp shapes by area sampling, blurred along their true paths.
 
 Shapes are drawn on a grid `FINE` times finer than the sensor's, each fine cell holding the fraction that the shape
 covers. A moving shape is that drawing added up over thousands of moments of the exposure, each shifted to where the
