@@ -1,8 +1,7 @@
 """All thresholds of blur/ on one page: name, unit, and where the value comes from.
 
 Three sources occur. *Statistics*: the value follows from a stated probability. *Numerics*: the value follows from the
-precision of the arithmetic. *Trial*: no theory gives the value; it was chosen on rendered and on real frames, and
-``labdaemon bench accuracy`` and the tests hold what it gives.
+precision of the arithmetic. *Trial*: chosen on rendered and real frames; `labdaemon bench accuracy` and tests hold it.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class FolderScene:
     occluded
         How many targets of each blurred frame have a cable hanging before them.
     paper_mm
-        Side of the labels; by default so large that their own smeared edges stay clear of the dots' smears.
+        Side of the labels; by default so large that their blurred edges stay clear of the blurred dots.
     texture, texture_length_mm, still_paper, gradient
         Relative sd of the paper texture; labels that do not move with their dots; slope of the light (see `Scene`).
     read_noise_e
@@ -131,7 +131,7 @@ class FolderScene:
 
     @property
     def label_side_mm(self) -> float:
-        """Side of the labels: as given, else so large that their smeared edges stay clear of the dots' blur."""
+        """Side of the labels: as given, else so large that their blurred edges stay clear of the blurred dots."""
         if self.paper_mm is not None:
             return self.paper_mm
         edges = 2.0 if self.still_paper else 4.0

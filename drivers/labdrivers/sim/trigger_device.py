@@ -63,7 +63,7 @@ class Shutter(Protocol):
 
 
 @dataclass(slots=True)
-class _Shot:
+class _ScheduledShot:
     number: int
     due_s: float
     released: bool = False
@@ -130,7 +130,7 @@ class TriggerDevice(WireDevice):
             self._enable_until: float | None = None
             self._excitation.enable(False)
             self._armed = False
-            self._shots: dict[int, _Shot] = {}
+            self._shots: dict[int, _ScheduledShot] = {}
             self._last_shot = 0
             self._served: tuple[int, str, str] = (0, "", "")
 
@@ -241,7 +241,7 @@ class TriggerDevice(WireDevice):
 
     def _new_shot(self, due_s: float) -> None:
         self._last_shot += 1
-        self._shots[self._last_shot] = _Shot(self._last_shot, due_s)
+        self._shots[self._last_shot] = _ScheduledShot(self._last_shot, due_s)
         self._shots.pop(self._last_shot - REMEMBERED, None)
         self._state.notify_all()
 
@@ -264,7 +264,7 @@ class TriggerDevice(WireDevice):
                     dues.append(self._enable_until)
                 self._state.wait(max(0.0, min(dues) - now) if dues else None)
 
-    def _release(self, shot: _Shot) -> None:
+    def _release(self, shot: _ScheduledShot) -> None:
         shot.released = True
         sync = self._sync(shot.due_s)
         if sync is not None:
@@ -274,7 +274,7 @@ class TriggerDevice(WireDevice):
         opened = [None if dead else shutter.release(shot.due_s) for shutter in self._shutters]
         shot.contacts_s = [None if blind else t for t in opened] + [None] * (OUTPUTS - len(opened))
 
-    def _shot_state(self, shot: _Shot, now: float) -> str:
+    def _shot_state(self, shot: _ScheduledShot, now: float) -> str:
         if not shot.released:
             return "WAIT"
         wired = shot.contacts_s[: len(self._shutters)]
