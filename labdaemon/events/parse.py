@@ -82,9 +82,15 @@ def check_payload(kind: str, text: str) -> None:
     model.model_validate_json(text)
 
 
-def event_schema() -> dict[str, Any]:
-    """JSON Schema of every event."""
-    return _known.json_schema(mode="serialization")
+def event_schema(reference: str = "#/$defs/") -> dict[str, Any]:
+    """JSON Schema of every event.
+
+    Parameters
+    ----------
+    reference
+        Where the parts, which are in ``$defs``, lie in the document that the schema is for.
+    """
+    return _known.json_schema(mode="serialization", ref_template=reference + "{model}")
 
 
 def _first_mistake(exc: ValidationError) -> str:

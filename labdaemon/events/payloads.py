@@ -272,8 +272,12 @@ class StatusData(EventPart):
         Campaigns that wait for their turn, and captures that wait to be measured.
     table
         ``rest``, ``moving`` or ``unconfirmed``; None without a shaker.
-    rig, host, pid
-        Which daemon this is: rig file, computer and process.
+    enable_line, accept_no_enable
+        State of the enable line, and whether the rig accepts that it cannot be proven; None without a shaker.
+    rig, data, host, pid
+        Which daemon this is: rig file, data folder, computer and process.
+    guardian
+        Its process, and the longest gap between heartbeats, seconds; None without one.
     """
 
     state: str | None = None
@@ -302,6 +306,10 @@ class StatusData(EventPart):
     queue: int | None = None
     measuring: int | None = None
     table: str | None = None
+    enable_line: str | None = None
+    accept_no_enable: bool | None = None
     rig: str | None = None
+    data: str | None = None
     host: str | None = None
     pid: int | None = None
+    guardian: Mapping[str, float | None] | None = None

@@ -118,11 +118,11 @@ class HeartbeatMonitor:
         why = f"the daemon (process {self._guarded.pid}) {reason}{' and was killed' if was_killed else ''}"
         self.reporter.say(f"{why}; stopping {self.recipe.device}")
         outcome = rescue(self.recipe, self.reporter, patience_s=self.patience_s, is_wanted=self._is_wanted)
-        self.reporter.conclude(f"{why}; {_in_words(outcome)}", {"why": why, **outcome._asdict()})
+        self.reporter.conclude(f"{why}; {_outcome_text(outcome)}", {"why": why, **outcome._asdict()})
         return 0 if outcome.is_at_rest else 1
 
 
-def _in_words(outcome: RescueOutcome) -> str:
+def _outcome_text(outcome: RescueOutcome) -> str:
     if outcome.is_at_rest:
         return f"the table was seen at rest {outcome.after_s:.2f} s later (try {outcome.tries})"
     return f"{EMERGENCY} ({outcome.trouble}; {outcome.tries} tries in {outcome.after_s:.0f} s, no more are made here)"

@@ -26,6 +26,7 @@ METHODS = (
     "capture",
     "events.replay",
     "events.latest",
+    "rpc.discover",
     "stop",
 )
 

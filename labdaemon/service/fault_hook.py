@@ -36,7 +36,7 @@ MOST_EVENTS = 50
 log = logging.getLogger(__name__)
 
 
-def resolved(command: Sequence[str], rig: Path) -> tuple[str, ...]:
+def resolve_command(command: Sequence[str], rig: Path) -> tuple[str, ...]:
     """The command with its program's place; a relative path starts at the rig file's folder.
 
     Raises

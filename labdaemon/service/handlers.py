@@ -12,6 +12,7 @@ from labdaemon.capture.table_evidence import describe
 from labdaemon.off_loop import off_loop
 from labdaemon.service.capture_parameters import capture_request
 from labdaemon.service.command_parameters import CommandParameters
+from labdaemon.service.openrpc import openrpc_document
 from labdaemon.stream.commands import Handler
 from labdaemon.stream.publisher import latest, replay
 from labdaemon.tomlfile import MAX_BYTES
@@ -82,6 +83,10 @@ def handlers(
         CommandParameters(params)
         return await aside(latest, journal, params)
 
+    async def discover(params: dict[str, Any]) -> Any:
+        CommandParameters(params)
+        return await aside(openrpc_document)
+
     return {
         "status": answer_status,
         "rig": answer_rig,
@@ -92,6 +97,7 @@ def handlers(
         "capture": capture,
         "events.replay": replay_events,
         "events.latest": latest_events,
+        "rpc.discover": discover,
         "stop": stop,
     }
 

@@ -28,9 +28,10 @@ from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import DaemonContext
 from labdaemon.service.devices import camera_overrides
-from labdaemon.service.fault_hook import FaultHook, resolved
+from labdaemon.service.fault_hook import FaultHook, resolve_command
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
+from labdaemon.service.openrpc import openrpc_document
 from labdaemon.service.pool_measurer import PoolMeasurer
 from labdaemon.service.startup import ExposureSteps, StartupSequence
 from labdaemon.service.status import status_of
@@ -84,12 +85,12 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
     try:
         publisher.bind()
         start.parts += [asyncio.create_task(supervise("events", publisher.run, context.clock)), context.keeping]
-        start.announce = _once(lambda: context.ready(context.commands.address, publisher.address))
-        context.deferred.offer(_early(context, start, publisher, status), start.refusal)
+        start.announce = _only_once(lambda: context.ready(context.commands.address, publisher.address))
+        context.deferred.offer(_early_handlers(context, start, publisher, status), start.refusal)
         identities, steps = await start.reach_devices(context.rig, context.identities)
         engine = _engine(context, recorder, pool, partial(_plan, context, steps))
-        await _heed_guardian(context, engine)
-        rig = _describe(context, identities, publisher.address)
+        await _follow_guardian(context, engine)
+        rig = _describe_rig(context, identities, publisher.address)
         submitted = partial(_plan, context, steps, check_disk=True)
         context.table_monitor.report, context.table_monitor.trip = engine.report, engine.trip
         start.checks |= _checks(engine)
@@ -103,7 +104,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         recorder.close()
 
 
-def _once(work: Callable[[], None]) -> Callable[[], None]:
+def _only_once(work: Callable[[], None]) -> Callable[[], None]:
     """The same, but only when it is called first."""
     left = [work]
 
@@ -114,7 +115,7 @@ def _once(work: Callable[[], None]) -> Callable[[], None]:
     return call
 
 
-async def _heed_guardian(context: DaemonContext, engine: Engine) -> None:
+async def _follow_guardian(context: DaemonContext, engine: Engine) -> None:
     """Pause when the guardian is lost, and report what an earlier daemon's guardian did."""
     report = take_report(context.data / REPORT_NAME)
     if report is not None:
@@ -142,10 +143,10 @@ def _fault_hook(context: DaemonContext, place: Mapping[str, Any]) -> FaultHook |
     command = context.config.service.on_fault_command
     if command is None:
         return None
-    return FaultHook(resolved(command, context.config.source), context.journal, place, context.clock)
+    return FaultHook(resolve_command(command, context.config.source), context.journal, place, context.clock)
 
 
-def _early(
+def _early_handlers(
     context: DaemonContext, start: StartupSequence, publisher: EventPublisher, report: Callable[[], dict[str, Any]]
 ) -> dict[str, Handler]:
     """Commands that are carried out while devices are waited for: also what `watch` asks for."""
@@ -154,7 +155,7 @@ def _early(
         return {**report(), "seq": context.journal.last_seq, "journal": context.journal.uuid}
 
     async def rig(params: dict[str, Any]) -> Any:
-        return _describe(context, context.identities, publisher.address)
+        return _describe_rig(context, context.identities, publisher.address)
 
     async def replay_events(params: dict[str, Any]) -> Any:
         return await off_loop(replay, context.journal, params)
@@ -162,12 +163,16 @@ def _early(
     async def latest_events(params: dict[str, Any]) -> Any:
         return await off_loop(latest, context.journal, params)
 
+    async def discover(params: dict[str, Any]) -> Any:
+        return await off_loop(openrpc_document)
+
     return {
         **start.handlers(),
         "status": status,
         "rig": rig,
         "events.replay": replay_events,
         "events.latest": latest_events,
+        "rpc.discover": discover,
     }
 
 
@@ -245,7 +250,7 @@ def _folder_files(config: RigConfig) -> dict[str, str]:
     return files
 
 
-def _describe(context: DaemonContext, identities: dict[str, str], events: str) -> dict[str, Any]:
+def _describe_rig(context: DaemonContext, identities: dict[str, str], events: str) -> dict[str, Any]:
     """The answer to `rig`."""
     config = context.config
     return {

@@ -37,10 +37,10 @@ RETRY_S = 2.0
 
 DATA = "data folder"
 
-A_PERSONS = (errno.ENAMETOOLONG, errno.ELOOP)
+PATH_ERRORS = (errno.ENAMETOOLONG, errno.ELOOP)
 """What is wrong with a path itself, and no wait mends."""
 
-NOTHING_YET = (
+UNKNOWN_AT_START = (
     *("campaign", "name", "reason", "step", "steps", "label", "kind", "frequency_hz", "amplitude_mm"),
     *("captures", "captures_total", "left_s", "largest_mm", "largest_target", "doubtful", "doubtful_mm"),
 )
@@ -86,7 +86,7 @@ class StartupSequence:
         """What there is to say before the engine runs."""
         names = ", ".join(self.waiting_for)
         return {
-            **dict.fromkeys(NOTHING_YET),
+            **dict.fromkeys(UNKNOWN_AT_START),
             "state": "starting",
             "doing": f"waiting for {names}" if names else "starting",
             "waiting_for": dict(self.waiting_for),
@@ -139,12 +139,12 @@ class StartupSequence:
             try:
                 journal = await self._until(off_loop(open_it))
             except StorageError as exc:
-                if isinstance(exc, JournalError) or getattr(exc.__cause__, "errno", None) in A_PERSONS:
+                if isinstance(exc, JournalError) or getattr(exc.__cause__, "errno", None) in PATH_ERRORS:
                     raise
-                self._misses(DATA, exc)
+                self._note_missing(DATA, exc)
                 await self._until(self.clock.sleep(RETRY_S))
             else:
-                self._has(DATA)
+                self._note_present(DATA)
                 return journal
 
     async def reach_devices(self, rig: Rig, stop_actuators: Mapping[str, str]) -> tuple[dict[str, str], ExposureSteps]:
@@ -189,9 +189,9 @@ class StartupSequence:
             try:
                 answer = await device.call(ask, CONNECT_S)
             except DeviceError as exc:
-                self._misses(name, exc)
+                self._note_missing(name, exc)
             else:
-                self._has(name)
+                self._note_present(name)
                 return answer
             await self.clock.sleep(RETRY_S)
             if not is_kept:
@@ -213,14 +213,14 @@ class StartupSequence:
         finally:
             task.cancel()
 
-    def _misses(self, name: str, exc: LabdaemonError) -> None:
+    def _note_missing(self, name: str, exc: LabdaemonError) -> None:
         if name not in self.waiting_for:
             log.warning("waiting for %s: %s", name, exc)
         self.waiting_for[name] = str(exc)
         if name != DATA:
             self.announce()
 
-    def _has(self, name: str) -> None:
+    def _note_present(self, name: str) -> None:
         if self.waiting_for.pop(name, None) is not None:
             log.warning("%s is there now", name)
 

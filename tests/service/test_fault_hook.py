@@ -17,7 +17,7 @@ from labdaemon.errors import ConfigError
 from labdaemon.journal import transitions
 from labdaemon.journal.journal import Journal
 from labdaemon.rig_sections import ServiceSection
-from labdaemon.service.fault_hook import FaultHook, message_of, resolved
+from labdaemon.service.fault_hook import FaultHook, message_of, resolve_command
 
 PLACE = {"rig": "/etc/rig.toml", "data": "/data", "host": "lab-pc", "pid": 7}
 KEEP = """
@@ -119,10 +119,10 @@ def test_the_program_must_be_there_and_lies_next_to_the_rig_file(tmp_path: Path)
     script.write_text("#!/bin/sh\n")
     rig = tmp_path / "rig.toml"
     with pytest.raises(ConfigError, match=r"service\.on_fault: \./page\.sh is no program"):
-        resolved(("./page.sh",), rig)
+        resolve_command(("./page.sh",), rig)
     script.chmod(0o755)
-    assert resolved(("./page.sh", "-x"), rig) == (str(script), "-x")
-    assert resolved(("sh",), rig)[0].endswith("/sh")
+    assert resolve_command(("./page.sh", "-x"), rig) == (str(script), "-x")
+    assert resolve_command(("sh",), rig)[0].endswith("/sh")
 
 
 def test_the_message_leads_with_what_weighs_most():
