@@ -236,7 +236,7 @@ def probe_folder(folder: Path, at_byte: int = 0) -> None:
         _discard(part)
 
 
-def knows_sync(folder: Path) -> bool:
+def supports_sync(folder: Path) -> bool:
     """Whether files of a folder can be synced; where not, this was logged once.
 
     Raises

@@ -13,11 +13,11 @@ import pytest
 from labdaemon import durable
 from labdaemon.durable import (
     append_durably,
-    knows_sync,
     make_folder,
     move_durably,
     probe_folder,
     storage_error,
+    supports_sync,
     sync_folder,
     whole_file,
     write_durably,
@@ -101,7 +101,7 @@ def test_files_that_cannot_be_synced_are_used_with_one_warning(
     with caplog.at_level(logging.WARNING, "labdaemon"):
         write_durably(tmp_path / "a", "a")
         append_durably(tmp_path / "a", "b")
-        assert not knows_sync(tmp_path)
+        assert not supports_sync(tmp_path)
     assert (tmp_path / "a").read_text() == "ab"
     assert len(caplog.records) == 1
 

@@ -12,7 +12,7 @@ import click
 from labdaemon.errors import InterlockError, LabdaemonError
 
 if TYPE_CHECKING:
-    from labdaemon.service.safe_stop import HeldTable
+    from labdaemon.service.safe_stop import TableClaim
 
 
 @click.command()
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool) -> None:
     """Run the daemon for the rig of CONFIG until Ctrl-C or SIGTERM."""
     from labdaemon.service.logs import set_up_logs
-    from labdaemon.service.safe_stop import take_table
+    from labdaemon.service.safe_stop import claim_table
     from labdaemon.service.signals import exit_status
 
     set_up_logs()
     # First of all the table: nothing that may be refused below can keep it moving.
-    held = take_table(config)
+    held = claim_table(config)
     try:
         if held.signal is not None:
             sys.exit(1 if held.unconfirmed is not None else exit_status(held.signal))
@@ -44,7 +44,7 @@ def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: 
 
 
 def _run(
-    config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool, held: HeldTable
+    config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool, held: TableClaim
 ) -> int:
     from labdaemon.service.config import load_rig
     from labdaemon.service.daemon import DaemonOptions, run_daemon
@@ -58,7 +58,7 @@ def _run(
     return run_daemon(rig, DaemonOptions(data, new_journal, accept_changed_rig), ready=ready, lock=held.lock)
 
 
-def _unrested(exc: LabdaemonError, held: HeldTable) -> LabdaemonError:
+def _unrested(exc: LabdaemonError, held: TableClaim) -> LabdaemonError:
     """The error that ends the process: whoever started it learns of a table that was not seen to rest, first of all."""
     if held.unconfirmed is None or isinstance(exc, InterlockError):
         return exc

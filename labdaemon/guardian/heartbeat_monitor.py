@@ -42,7 +42,7 @@ class HeartbeatMonitor:
     ----------
     setup
         The first line of the pipe.
-    ward
+    guarded
         The daemon.
     """
 
@@ -82,7 +82,7 @@ class HeartbeatMonitor:
                 self.silence_s = LEAVE_S
             if isinstance(message.get("beat"), int):
                 # Long work at rest (imports, a listing) is no gap that matters.
-                self._silence.heard(at, counts=self._moving and message.get("moving") is True)
+                self._silence.record_heartbeat(at, counts=self._moving and message.get("moving") is True)
                 beats.append(message["beat"])
             if isinstance(message.get("moving"), bool):
                 self._moving = message["moving"]

@@ -43,7 +43,7 @@ class SilenceTimer:
     """
 
     def __init__(self, began: ClockReading) -> None:
-        self._last = self._heard = began
+        self._last = self._last_heartbeat = began
         self._may_ask = True
         self.silent_s = self.longest_s = 0.0
 
@@ -55,16 +55,16 @@ class SilenceTimer:
         tick_s = at.monotonic_s - self._last.monotonic_s
         suspended_s = at.boot_s - self._last.boot_s - tick_s
         if self._may_ask and (suspended_s > SUSPENDED_S or tick_s > STANDSTILL_S):
-            self.silent_s, self._may_ask, self._heard = 0.0, False, at
+            self.silent_s, self._may_ask, self._last_heartbeat = 0.0, False, at
         else:
             self.silent_s += min(tick_s, LONGEST_TICK_S)
         self._last = at
         return self.silent_s
 
-    def heard(self, at: ClockReading, *, counts: bool = True) -> None:
+    def record_heartbeat(self, at: ClockReading, *, counts: bool = True) -> None:
         """A heartbeat has come; the time since the last one is kept if it counts."""
         self.tick(at)
         if counts:
-            self.longest_s = max(self.longest_s, at.monotonic_s - self._heard.monotonic_s)
-        self._heard = at
+            self.longest_s = max(self.longest_s, at.monotonic_s - self._last_heartbeat.monotonic_s)
+        self._last_heartbeat = at
         self.silent_s, self._may_ask = 0.0, True

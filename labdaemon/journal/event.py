@@ -83,7 +83,7 @@ def event_text(row: tuple[int, str, str, str | None, str], journal: str) -> Even
     return EventText(seq, kind, f'{head[:-1]}, "data": {data}}}'.encode())
 
 
-def within(texts: Iterable[EventText], most_bytes: int) -> list[EventText]:
+def limit_bytes(texts: Iterable[EventText], most_bytes: int) -> list[EventText]:
     """The first of them that are together not larger than this, but at least one; reads no further than needed."""
     taken: list[EventText] = []
     size = 0

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from labdaemon.clock import Clock, rfc3339
-from labdaemon.durable import knows_sync, sync_folder
-from labdaemon.journal.event import EventText, StoredEvent, event_text, within
+from labdaemon.durable import supports_sync, sync_folder
+from labdaemon.journal.event import EventText, StoredEvent, event_text, limit_bytes
 from labdaemon.journal.schema import APPLICATION_ID, CARD_TABLES, LATER_INDEX, TABLES, VERSION
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 from labdaemon.plain_json import dump_json, plain_text
@@ -160,7 +160,7 @@ class Journal:
         sql = "SELECT seq, at, kind, campaign, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?"
         try:
             with closing(reader.execute(sql, (seq, limit))) as rows:
-                return within((event_text(row, self.uuid) for row in rows), most_bytes)
+                return limit_bytes((event_text(row, self.uuid) for row in rows), most_bytes)
         except sqlite3.Error as exc:
             raise as_data_error(exc, self.path, is_read=True) from exc
 
@@ -183,7 +183,7 @@ class Journal:
             try:
                 self._writer.execute("BEGIN IMMEDIATE")
                 yield transaction
-                self._tell(f"before {name}")
+                self._notify(f"before {name}")
                 self._writer.execute("COMMIT")
             except sqlite3.Error as exc:
                 self._roll_back()
@@ -192,7 +192,7 @@ class Journal:
                 self._roll_back()
                 raise
             self._last_seq = transaction.last_seq
-        self._tell(name)
+        self._notify(name)
 
     def listen(self, listener: Callable[[str], None]) -> None:
         """Call `listener(name)` after each commit, on the writing thread, and with ``before NAME`` ahead of it.
@@ -229,7 +229,7 @@ class Journal:
                 self._write_lock.release()
         self._lock.release()
 
-    def _tell(self, name: str) -> None:
+    def _notify(self, name: str) -> None:
         for listener in self._listeners:
             listener(name)
 
@@ -256,7 +256,7 @@ class Journal:
                     self._check()
                 self._writer.execute("PRAGMA journal_mode = WAL")
                 # Where files cannot be synced SQLite would fail each commit, not only be less durable.
-                synchronous = self._synchronous if knows_sync(self.folder) else "OFF"
+                synchronous = self._synchronous if supports_sync(self.folder) else "OFF"
                 self._writer.execute(f"PRAGMA synchronous = {synchronous}")
                 if fresh or not self._writer.execute("PRAGMA user_version").fetchone()[0]:
                     self._create()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labdaemon.stream.messages import InvalidParamsError
-from labdaemon.stream.text_limits import shown
+from labdaemon.stream.text_limits import bounded_text
 from labdaemon.tomlfile import nearest
 
 
@@ -30,7 +30,7 @@ class CommandParameters:
             if name not in known:
                 near = nearest(name[:40], list(known))
                 hint = f"did you mean {near}?" if near else f"known are {', '.join(known) or 'none'}"
-                raise InvalidParamsError(f"unknown parameter {shown(name)}; {hint}")
+                raise InvalidParamsError(f"unknown parameter {bounded_text(name)}; {hint}")
         self._params = params
 
     def text(self, name: str, *, longest: int, default: str | None = None) -> str:
@@ -62,7 +62,7 @@ class CommandParameters:
         """
         value = self._params.get(name)
         if value is not None and not isinstance(value, bool):
-            raise InvalidParamsError(f"{name} is true or false, not {shown(value)}")
+            raise InvalidParamsError(f"{name} is true or false, not {bounded_text(value)}")
         return bool(value)
 
     def number(self, name: str, *, least: float, most: float) -> float | None:
@@ -77,5 +77,5 @@ class CommandParameters:
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-            raise InvalidParamsError(f"{name} is a number from {least:g} to {most:g}, not {shown(value)}")
+            raise InvalidParamsError(f"{name} is a number from {least:g} to {most:g}, not {bounded_text(value)}")
         return float(value)

@@ -208,7 +208,7 @@ async def _serve_commands(context: TableContext, lock: ShakerLock | None, end: a
     """Take data folder, commands socket and journal, and serve until the end."""
     start = StartupSequence(context.clock, context.table, place_of(context.config.source, context.data), end)
     deferred = DeferredCommands()
-    deferred.offer(start.handlers(), start.refusal)
+    deferred.serve_early(start.handlers(), start.refusal)
     commands = CommandServer(context.config.service.commands, deferred.handlers(), deferred)
     try:
         commands.bind()

@@ -32,9 +32,9 @@ METHODS = (
 
 
 class DeferredCommands:
-    """Takes commands from the moment the socket is bound, and carries them out once `open` was called.
+    """Takes commands from the moment the socket is bound, and carries them out once `serve` was called.
 
-    What can be done before that, because it needs neither cameras nor the journal, is handed over by `offer`.
+    What can be done before that, because it needs neither cameras nor the journal, is handed over by `serve_early`.
 
     It also knows the replies to earlier requests. Handlers keep those in the journal with the change itself, so that a
     crash cannot come between, and `keep` has nothing left to do.
@@ -47,15 +47,15 @@ class DeferredCommands:
         self._refusal: Callable[[], LabdaemonError] = lambda: WrongStateError("the daemon is starting")
         self._journal: Journal | None = None
 
-    def offer(self, handlers: dict[str, Handler], refusal: Callable[[], LabdaemonError] | None = None) -> None:
-        """Carry out these commands until `open` replaces them: ``stop`` and ``status`` while devices are waited for.
+    def serve_early(self, handlers: dict[str, Handler], refusal: Callable[[], LabdaemonError] | None = None) -> None:
+        """Carry out these commands until `serve` replaces them: ``stop`` and ``status`` while devices are waited for.
 
-        `refusal` gives the answer to commands that have waited `PATIENCE_S` for `open`.
+        `refusal` gives the answer to commands that have waited `PATIENCE_S` for `serve`.
         """
         self._early = handlers
         self._refusal = refusal or self._refusal
 
-    def open(self, handlers: dict[str, Handler], journal: Journal) -> None:
+    def serve(self, handlers: dict[str, Handler], journal: Journal) -> None:
         """Carry out what waits and what comes."""
         self._handlers, self._journal = handlers, journal
         self._opened.set()

@@ -83,25 +83,25 @@ class FaultHook:
     ) -> None:
         self._command, self._journal, self._place, self._clock = tuple(command), journal, dict(place), clock
         self._gather_s, self._gap_s, self._timeout_s = gather_s, gap_s, timeout_s
-        self._news = asyncio.Event()
+        self._changed = asyncio.Event()
         self._seq = journal.last_seq
         self._unsent: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
 
     def wake(self) -> None:
         """Something was committed. Cheap; call it on the loop's thread."""
-        self._news.set()
+        self._changed.set()
 
     def unrecorded(self, campaign: str | None, data: Mapping[str, Any]) -> None:
         """A fault that the journal could not take, as of a full disk."""
         event = {"v": 1, "seq": None, "at": rfc3339(self._clock.now()), "kind": "fault", "campaign": campaign}
         self._unsent.append({**event, "data": dict(data)})
-        self._news.set()
+        self._changed.set()
 
     async def run(self) -> None:
         """Send until cancelled."""
         while True:
-            await self._news.wait()
-            self._news.clear()
+            await self._changed.wait()
+            self._changed.clear()
             await self._read()
             if not self._unsent:
                 continue

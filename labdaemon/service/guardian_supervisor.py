@@ -57,7 +57,7 @@ class GuardianSupervisor:
         self._process: GuardianProcess | None = None
         self._launching: asyncio.Task[GuardianProcess] | None = None
         self._silence = SilenceTimer(now())
-        self._beats, self._rest, self._hears = 0, b"", False
+        self._beats, self._rest, self._is_listening = 0, b"", False
         self.on_lost: Callable[[str], None] = lambda reason: log.warning("%s", reason)
         self.longest_s = 0.0
 
@@ -77,10 +77,10 @@ class GuardianSupervisor:
         self._launching = asyncio.create_task(asyncio.to_thread(GuardianProcess, self._recipe, self._settings))
         process = await asyncio.shield(self._launching)
         self._launching = None
-        self._process, self._silence, self._rest, self._hears = process, SilenceTimer(now()), b"", False
+        self._process, self._silence, self._rest, self._is_listening = process, SilenceTimer(now()), b"", False
         self._send({"beat": self._beats, "moving": self._may_move()})
         end_s = self._clock.monotonic() + START_S
-        while not self._hears:
+        while not self._is_listening:
             if not self._hear() or self._clock.monotonic() > end_s:
                 self._process = None
                 await asyncio.to_thread(process.kill)
@@ -95,7 +95,7 @@ class GuardianSupervisor:
         DeviceError
             There is no guardian at this moment.
         """
-        if not (self._hears and self._send({"beat": self._beats, "moving": True})):
+        if not (self._is_listening and self._send({"beat": self._beats, "moving": True})):
             raise DeviceError("no guardian listens, so nothing moves; a new one is started", device="guardian")
 
     async def run(self) -> None:
@@ -152,8 +152,8 @@ class GuardianSupervisor:
             return False
         *lines, self._rest = (self._rest + data).split(b"\n")
         for message in map(read_message, lines):
-            self._hears = True
-            self._silence.heard(now())
+            self._is_listening = True
+            self._silence.record_heartbeat(now())
             self.longest_s = max(self.longest_s, float(message.get("longest_s", 0.0)))
         return True
 

@@ -28,7 +28,7 @@ ASK_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class HeldTable:
+class TableClaim:
     """A table that was brought to rest before its daemon began.
 
     Attributes
@@ -46,7 +46,7 @@ class HeldTable:
     signal: int | None
 
 
-def take_table(path: Path) -> HeldTable:
+def claim_table(path: Path) -> TableClaim:
     """Bring the table of a rig file to rest before the file is read in full, and keep other daemons off it.
 
     Raises
@@ -66,9 +66,9 @@ def take_table(path: Path) -> HeldTable:
         rest = asyncio.run(_stop(stop_actuators, signals))
     except InterlockError as exc:
         log.critical("%s", exc)
-        return HeldTable(lock, exc, signals[0] if signals else None)
+        return TableClaim(lock, exc, signals[0] if signals else None)
     log.info("%s", _sentence(rest))
-    return HeldTable(lock, None, signals[0] if signals else None)
+    return TableClaim(lock, None, signals[0] if signals else None)
 
 
 def stop_table(path: Path) -> str:

@@ -86,7 +86,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         publisher.bind()
         start.parts += [asyncio.create_task(supervise("events", publisher.run, context.clock)), context.keeping]
         start.announce = _only_once(lambda: context.ready(context.commands.address, publisher.address))
-        context.deferred.offer(_early_handlers(context, start, publisher, status), start.refusal)
+        context.deferred.serve_early(_early_handlers(context, start, publisher, status), start.refusal)
         identities, steps = await start.reach_devices(context.rig, context.identities)
         engine = _engine(context, recorder, pool, partial(_plan, context, steps))
         await _follow_guardian(context, engine)
@@ -94,7 +94,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         submitted = partial(_plan, context, steps, check_disk=True)
         context.table_monitor.report, context.table_monitor.trip = engine.report, engine.trip
         start.checks |= _checks(engine)
-        context.deferred.open(handlers(engine, submitted, status, rig), context.journal)
+        context.deferred.serve(handlers(engine, submitted, status, rig), context.journal)
         if hook is not None:
             engine.reporter.unrecorded = hook.unrecorded
         return await _run_parts(context, engine, publisher, start, hook)

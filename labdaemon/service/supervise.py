@@ -48,7 +48,7 @@ async def supervise(
         try:
             await run()
         except Exception as exc:
-            if is_of_disk(exc):
+            if is_disk_failure(exc):
                 # However long the disk takes nothing, it is no failure of this part.
                 log.warning("%s waits for the disk: %s", name, exc)
                 await clock.sleep(min(policy.longest_s, DISK_S))
@@ -65,10 +65,10 @@ async def supervise(
             return
 
 
-def is_of_disk(exc: BaseException) -> bool:
+def is_disk_failure(exc: BaseException) -> bool:
     """Whether an error, or each of a group of errors, passes when the disk takes writes again."""
     if isinstance(exc, BaseExceptionGroup):
-        return all(is_of_disk(one) for one in exc.exceptions)
+        return all(is_disk_failure(one) for one in exc.exceptions)
     return isinstance(exc, StorageUnavailable)
 
 

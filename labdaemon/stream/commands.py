@@ -23,7 +23,7 @@ from labdaemon.stream import messages
 from labdaemon.stream.messages import BadRequestError, InvalidParamsError, RpcRequest
 from labdaemon.stream.peer_gate import PeerGate
 from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
-from labdaemon.stream.text_limits import INLINE_BYTES, shown
+from labdaemon.stream.text_limits import INLINE_BYTES, bounded_text
 from labdaemon.stream.unread_answers import LARGE_BYTES, UnreadAnswers
 
 Handler = Callable[[dict[str, Any]], Awaitable[Any]]
@@ -231,9 +231,9 @@ class CommandServer:
             async with asyncio.timeout(COMMAND_S):
                 return messages.result_bytes(await self._do(request), request.id)
         except LabdaemonError as exc:
-            return messages.error_bytes(messages.code_of(exc), shown(exc, 2000), request.id, **_details(exc))
+            return messages.error_bytes(messages.code_of(exc), bounded_text(exc, 2000), request.id, **_details(exc))
         except UnknownMethod:
-            text = f"no method {shown(request.method, 80)!r}"
+            text = f"no method {bounded_text(request.method, 80)!r}"
             return messages.error_bytes(messages.METHOD_NOT_FOUND, text, request.id)
         except BaseException as exc:
             task = asyncio.current_task()

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from labdaemon.errors import ConfigError, DeviceError, InterlockError, LabdaemonError, LimitError, UsageError
 from labdaemon.plain_json import dump_json
-from labdaemon.stream.text_limits import is_text, parse_json, shown, surrogate_in
+from labdaemon.stream.text_limits import bounded_text, is_text, parse_json, surrogate_in
 
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
@@ -129,7 +129,7 @@ def parse_request(frame: bytes) -> RpcRequest:
     try:
         document = parse_json(frame)
     except ValueError as exc:
-        raise BadRequestError(PARSE_ERROR, f"not JSON: {shown(exc, 200)}") from None
+        raise BadRequestError(PARSE_ERROR, f"not JSON: {bounded_text(exc, 200)}") from None
     if isinstance(document, list):
         raise BadRequestError(INVALID_REQUEST, "batches are not supported; send one request a message")
     if not isinstance(document, dict):
@@ -151,7 +151,9 @@ def parse_request(frame: bytes) -> RpcRequest:
             raise BadRequestError(INVALID_PARAMS, "params go by name: send an object", request_id)
         params = {}
     if (where := surrogate_in(params)) is not None:
-        raise BadRequestError(INVALID_PARAMS, f"{shown(where)} is no text: it has half a surrogate pair", request_id)
+        raise BadRequestError(
+            INVALID_PARAMS, f"{bounded_text(where)} is no text: it has half a surrogate pair", request_id
+        )
     return RpcRequest(method, params, request_id, "id" not in document)
 
 

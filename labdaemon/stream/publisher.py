@@ -23,7 +23,7 @@ from labdaemon.plain_json import dump_json
 from labdaemon.stream.messages import InvalidParamsError, RawJson
 from labdaemon.stream.peer_gate import PeerGate
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
-from labdaemon.stream.text_limits import shown
+from labdaemon.stream.text_limits import bounded_text
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ class EventPublisher:
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
         self._gate: PeerGate | None = None
-        self._news = asyncio.Event()
+        self._changed = asyncio.Event()
         self._sent = outbox.last_seq
         self._is_unread = False
 
@@ -106,7 +106,7 @@ class EventPublisher:
 
     def wake(self) -> None:
         """Something was committed: send it now. Cheap; call it on the loop's thread."""
-        self._news.set()
+        self._changed.set()
 
     async def run(self) -> None:
         """Publish until cancelled."""
@@ -120,7 +120,7 @@ class EventPublisher:
         loop = asyncio.get_running_loop()
         status_due = loop.time()
         while True:
-            self._news.clear()
+            self._changed.clear()
             with self._waiting_for_disk():
                 await self._send_committed()
             if loop.time() >= status_due:
@@ -129,7 +129,7 @@ class EventPublisher:
                 status_due = max(status_due + STATUS_PERIOD_S, loop.time())
             try:
                 async with asyncio.timeout_at(status_due):
-                    await self._news.wait()
+                    await self._changed.wait()
             except TimeoutError:
                 pass
 
@@ -217,7 +217,7 @@ def replay(outbox: Outbox, params: dict[str, Any]) -> RawJson:
     after, limit = params.get("after", 0), params.get("limit", MAX_REPLAY)
     for name, value in (("after", after), ("limit", limit)):
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 62:
-            raise InvalidParamsError(f"{name} is a whole number from 0, not {shown(value)}")
+            raise InvalidParamsError(f"{name} is a whole number from 0, not {bounded_text(value)}")
     last = outbox.last_seq
     events = outbox.history(after, min(limit, MAX_REPLAY), MAX_REPLAY_BYTES) if limit else []
     last = max(last, events[-1].seq if events else 0)

@@ -64,7 +64,7 @@ def is_text(value: str) -> bool:
     return True
 
 
-def shown(value: Any, longest: int = 40) -> str:
+def bounded_text(value: Any, longest: int = 40) -> str:
     """A peer's value in a message: short, and always text."""
     try:
         text = str(value)

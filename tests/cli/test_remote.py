@@ -17,7 +17,7 @@ import pytest
 from labdaemon.cli.main import COMMANDS, main
 from labdaemon.clock import SystemClock
 from labdaemon.errors import LimitError
-from labdaemon.journal.event import EventText, StoredEvent, within
+from labdaemon.journal.event import EventText, StoredEvent, limit_bytes
 from labdaemon.stream.commands import CommandServer
 from labdaemon.stream.messages import RawJson, WrongStateError
 from labdaemon.stream.publisher import EventPublisher, replay
@@ -74,7 +74,7 @@ class Daemon:
         return len(self.events)
 
     def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
-        return within((event.text() for event in self.events[seq : seq + limit]), most_bytes)
+        return limit_bytes((event.text() for event in self.events[seq : seq + limit]), most_bytes)
 
     history = recent
 

@@ -17,7 +17,7 @@ def after(silence: SilenceTimer, *ticks: tuple[float, float]) -> float:
 def test_silence_is_the_time_since_the_last_heartbeat():
     silence = SilenceTimer(ClockReading(100.0, 500.0))
     assert after(silence, *[(0.1, 0.0)] * 12) == pytest.approx(1.2)
-    silence.heard(ClockReading(101.3, 501.3))
+    silence.record_heartbeat(ClockReading(101.3, 501.3))
     assert silence.silent_s == 0.0
     assert silence.longest_s == pytest.approx(1.3)
     assert after(silence, (0.1, 0.0)) == pytest.approx(0.1)
@@ -47,12 +47,12 @@ def test_it_is_asked_once_more_only_once():
     """A machine that is suspended again and again, or hardly runs, must not keep a hung daemon alive."""
     silence = SilenceTimer(ClockReading(0.0, 0.0))
     assert after(silence, *[(1.0, 60.0), (9.0, 0.0)] * 3) > 2.0
-    silence.heard(ClockReading(100.0, 300.0))
+    silence.record_heartbeat(ClockReading(100.0, 300.0))
     assert after(silence, (0.1, 60.0)) == 0.0
 
 
 def test_a_gap_at_rest_does_not_count_as_the_longest():
     silence = SilenceTimer(ClockReading(0.0, 0.0))
-    silence.heard(ClockReading(8.0, 8.0), counts=False)
-    silence.heard(ClockReading(8.2, 8.2))
+    silence.record_heartbeat(ClockReading(8.0, 8.0), counts=False)
+    silence.record_heartbeat(ClockReading(8.2, 8.2))
     assert silence.longest_s == pytest.approx(0.2)

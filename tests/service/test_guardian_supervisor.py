@@ -20,7 +20,7 @@ from labdrivers.sim.assembly import SimulatedRig
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.wire import PtyPort, TcpPort
 
-PROGRAM = Path(__file__).with_name("ward_program.py")
+PROGRAM = Path(__file__).with_name("guarded_program.py")
 PATIENCE_S = 30.0
 SPEC = RigSpec()
 
@@ -42,7 +42,7 @@ def is_gone(pid: int) -> bool:
 
 
 class GuardedProcess:
-    """`ward_program.py` as a process, and what it has said."""
+    """`guarded_program.py` as a process, and what it has said."""
 
     def __init__(self, port: str, folder: Path) -> None:
         limits = {"stroke_mm": 150, "velocity_mm_s": 600, "acceleration_mm_s2": 12000, "frequency_hz": [0.5, 25]}

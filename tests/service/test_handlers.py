@@ -41,7 +41,7 @@ def serve(tmp_path: Path):
             lab.start()
             deferred = DeferredCommands()
             served = handlers(lab.engine, lab.plan, lambda: status_of(lab.engine), {"rig": 1}, aside=at_once)
-            deferred.open(served, lab.journal)
+            deferred.serve(served, lab.journal)
             asked = deferred.handlers()
             try:
                 await scenario(lab, deferred, lambda method, **params: asked[method](params))
@@ -130,9 +130,9 @@ def test_a_command_before_there_is_somebody_to_do_it_waits():
         async def early(params):
             return "early"
 
-        deferred.offer({"stop": early})
+        deferred.serve_early({"stop": early})
         assert await deferred.handlers()["stop"]({}) == "early"
-        deferred.open({"status": status}, None)  # type: ignore[arg-type]
+        deferred.serve({"status": status}, None)  # type: ignore[arg-type]
         assert await asked == "here"
 
     asyncio.run(main())

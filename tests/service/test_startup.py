@@ -161,7 +161,7 @@ async def test_what_a_person_must_change_is_not_waited_for(start: StartupSequenc
 
 async def test_commands_that_need_what_is_missing_are_refused_by_its_name(start: StartupSequence):
     deferred = DeferredCommands()
-    deferred.offer(start.handlers(), start.refusal)
+    deferred.serve_early(start.handlers(), start.refusal)
     start.waiting_for["left"] = "left: its port does not open"
     handlers = deferred.handlers()
     assert (await handlers["status"]({}))["state"] == "starting"

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError, StorageUnavailable
 from labdaemon.events import StepCompleted
-from labdaemon.journal.event import EventText, StoredEvent, within
+from labdaemon.journal.event import EventText, StoredEvent, limit_bytes
 from labdaemon.stream import publisher as events_module
 from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon, RemoteError
 from labdaemon.stream.commands import CommandServer
@@ -39,7 +39,7 @@ class ListOutbox:
         return len(self.events)
 
     def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
-        return within((event.text() for event in self.events[seq : seq + limit]), most_bytes)
+        return limit_bytes((event.text() for event in self.events[seq : seq + limit]), most_bytes)
 
     history = recent
 
