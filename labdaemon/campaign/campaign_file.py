@@ -30,7 +30,7 @@ from labdaemon.errors import ConfigError
 from labdaemon.tomlfile import TomlSection, parse_model, parse_toml, read_toml
 
 MAX_STEPS = 20_000
-"""A campaign of more steps than this is a slip of the pen."""
+"""A campaign of more steps than this is a typing error."""
 
 PositiveHz = Annotated[float, Field(gt=0, le=1000, strict=True)]
 Amplitude = Annotated[float, Field(ge=0, le=1000, strict=True)]
@@ -115,7 +115,7 @@ class ShakingPhase(PhaseSection):
     """Excitation phases at which to open, one capture at each, measured jointly."""
     settle: SettleSection = SettleSection()
     both_directions: bool = False
-    """Walk the frequencies up and then down again (a nonlinear structure answers differently)."""
+    """Take the frequencies up and then down again (a nonlinear structure answers differently)."""
 
     @field_validator("phase_rad")
     @classmethod

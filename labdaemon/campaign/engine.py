@@ -105,7 +105,7 @@ class Engine:
             self._listener,
             policy.accept_changed_rig,
         )
-        queue.published, queue.with_disk_retry = self._on_published, self.reporter.with_disk_retry
+        queue.observer, queue.with_disk_retry = self, self.reporter.with_disk_retry
         self._stops: set[asyncio.Task[None]] = set()
         self.largest: LargestMotion | None = None
 
@@ -302,13 +302,13 @@ class Engine:
         except InterlockError as exc:
             await self.runner.fault(exc, "use the emergency stop")
 
-    def _on_published(self, campaign: str, name: str, rows: Rows) -> None:
+    def result_published(self, campaign: str, name: str, rows: Rows) -> None:
         """An envelope is out: keep its largest motion for status, and judge it."""
         self.largest = largest_motion(rows)
-        reason = check_envelope(self.limits, rows)
-        if reason is None:
+        violation = check_envelope(self.limits, rows)
+        if violation is None:
             return
-        error = InterlockError(f"{name}: {reason}")
+        error = InterlockError(f"{name}: {violation}")
         if self.control.is_running_step or self.context.table.excitation is not None:
             self.trip(error)
             return

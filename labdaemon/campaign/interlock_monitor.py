@@ -122,15 +122,15 @@ class InterlockMonitor:
             return  # it changed while the gauge was read
         scale = displacement_mm(reading, driver.unit, frequency_hz) / reading.value if reading.value else 1.0
         now = GaugeSample(self.context.clock.monotonic(), scale * reading.value, scale * reading.sd)
-        reason = None
+        violation = None
         if driver.role == "response":
-            reason = interlocks.check_response(self.limits, now, self._seen)
+            violation = interlocks.check_response(self.limits, now, self._seen)
             self._seen = now
         elif self.context.table.settled is not None:
             self.context.table.observer.learn_noise(reading, duration_s)
-            reason = interlocks.check_table(self.limits, excitation.amplitude_mm, now)
-        if reason is not None:
-            self.trip(InterlockError(reason))
+            violation = interlocks.check_table(self.limits, excitation.amplitude_mm, now)
+        if violation is not None:
+            self.trip(InterlockError(violation.message))
 
     async def _disk(self) -> None:
         """A table that moves while nothing can be recorded is brought to rest."""
@@ -145,9 +145,9 @@ class InterlockMonitor:
     async def _workers(self) -> None:
         while True:
             if self.context.table.excitation is not None:
-                stalled = interlocks.check_workers(self.limits, self.oldest_s())
-                if stalled is not None:
-                    self.trip(InterlockError(stalled))
+                violation = interlocks.check_workers(self.limits, self.oldest_s())
+                if violation is not None:
+                    self.trip(InterlockError(violation.message))
             await self.context.clock.sleep(self.intervals.room_s)
 
     async def _cameras(self) -> None:
@@ -164,9 +164,9 @@ class InterlockMonitor:
             self._missed(name, exc)
             return
         self._misses[name] = 0
-        reason = interlocks.check_camera(self.limits, name, status)
-        if reason is not None and self.context.table.excitation is not None:
-            self.trip(InterlockError(reason))
+        violation = interlocks.check_camera(self.limits, name, status)
+        if violation is not None and self.context.table.excitation is not None:
+            self.trip(InterlockError(violation.message))
 
     def _missed(self, device: str, exc: DeviceError) -> None:
         self._misses[device] = self._misses.get(device, 0) + 1

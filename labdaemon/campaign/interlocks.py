@@ -1,4 +1,4 @@
-"""What stops the table, as pure checks: limits and an observation in, a reason or None out."""
+"""What stops the table, as pure checks: limits and an observation in, a `Violation` or None out."""
 
 from __future__ import annotations
 
@@ -46,6 +46,25 @@ class InterlockLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class Violation:
+    """A crossed limit.
+
+    Attributes
+    ----------
+    limit
+        Name of the limit, as in the rig file's section ``[interlocks]``.
+    message
+        What was seen, for a person.
+    """
+
+    limit: str
+    message: str
+
+    def __str__(self) -> str:
+        return self.message
+
+
+@dataclass(frozen=True, slots=True)
 class GaugeSample:
     """The structure's semi-amplitude as a gauge read it, at a monotonic time."""
 
@@ -54,42 +73,53 @@ class GaugeSample:
     sd_mm: float = 0.0
 
 
-def check_response(limits: InterlockLimits, now: GaugeSample, before: GaugeSample | None) -> str | None:
+def check_response(limits: InterlockLimits, now: GaugeSample, before: GaugeSample | None) -> Violation | None:
     """Too large an answer, or one that grows too fast. A growth within three sd of the readings is noise."""
     if limits.max_response_mm is not None and now.amplitude_mm > limits.max_response_mm:
-        return f"the structure moves {now.amplitude_mm:.3g} mm, more than max_response_mm = {limits.max_response_mm:g}"
+        return Violation(
+            "max_response_mm",
+            f"the structure moves {now.amplitude_mm:.3g} mm, more than max_response_mm = {limits.max_response_mm:g}",
+        )
     if limits.max_response_rate_mm_s is None or before is None or now.at_s <= before.at_s:
         return None
     growth_mm = now.amplitude_mm - before.amplitude_mm
     rate = growth_mm / (now.at_s - before.at_s)
     if rate > limits.max_response_rate_mm_s and growth_mm > 3.0 * (now.sd_mm**2 + before.sd_mm**2) ** 0.5:
-        return (
+        return Violation(
+            "max_response_rate_mm_s",
             f"the structure's motion grows by {rate:.3g} mm/s, more than max_response_rate_mm_s = "
-            f"{limits.max_response_rate_mm_s:g}"
+            f"{limits.max_response_rate_mm_s:g}",
         )
     return None
 
 
-def check_table(limits: InterlockLimits, asked_mm: float, read: GaugeSample) -> str | None:
+def check_table(limits: InterlockLimits, asked_mm: float, read: GaugeSample) -> Violation | None:
     """The table gauge reads another amplitude than was set."""
     if limits.gauge_disagreement is None:
         return None
     off_mm = abs(read.amplitude_mm - asked_mm)
     if off_mm <= max(limits.gauge_disagreement * asked_mm, 3.0 * read.sd_mm):
         return None
-    return f"the table gauge reads {read.amplitude_mm:.3g} mm where {asked_mm:.3g} mm was set"
+    return Violation(
+        "gauge_disagreement", f"the table gauge reads {read.amplitude_mm:.3g} mm where {asked_mm:.3g} mm was set"
+    )
 
 
-def check_camera(limits: InterlockLimits, camera: str, status: CameraStatus) -> str | None:
-    """An empty battery or a full card; what a body does not tell is not judged."""
+def check_camera(limits: InterlockLimits, camera: str, status: CameraStatus) -> Violation | None:
+    """An empty battery or a full card; what a body does not report is not judged."""
     if status.battery_percent is not None and status.battery_percent < limits.min_battery_percent:
-        return f"{camera}: battery at {status.battery_percent} %, less than {limits.min_battery_percent} %; charge it"
+        return Violation(
+            "min_battery_percent",
+            f"{camera}: battery at {status.battery_percent} %, less than {limits.min_battery_percent} %; charge it",
+        )
     if status.free_bytes is not None and status.free_bytes < limits.min_card_bytes:
-        return f"{camera}: {status.free_bytes / 1e6:.0f} MB free on its card; empty or replace it"
+        return Violation(
+            "min_card_bytes", f"{camera}: {status.free_bytes / 1e6:.0f} MB free on its card; empty or replace it"
+        )
     return None
 
 
-def check_envelope(limits: InterlockLimits, rows: Iterable[Mapping[str, Any]]) -> str | None:
+def check_envelope(limits: InterlockLimits, rows: Iterable[Mapping[str, Any]]) -> Violation | None:
     """The measured envelope is too large, or smears reach the edges of their papers.
 
     A target without a flag trips alone. Flagged ones are in doubt: `DOUBTFUL_TO_TRIP` of them trip together, and an
@@ -102,15 +132,22 @@ def check_envelope(limits: InterlockLimits, rows: Iterable[Mapping[str, Any]]) -
         sure, doubtful = _too_large(limits.max_response_mm, measured)
         if sure:
             name, size = sure[0]
-            return f"target {name} moves {size:.3g} mm, more than max_response_mm = {limits.max_response_mm:g}"
+            return Violation(
+                "max_response_mm",
+                f"target {name} moves {size:.3g} mm, more than max_response_mm = {limits.max_response_mm:g}",
+            )
         if len(doubtful) >= DOUBTFUL_TO_TRIP:
             name, size = doubtful[0]
-            return (
+            return Violation(
+                "max_response_mm",
                 f"{len(doubtful)} flagged targets move more than max_response_mm = {limits.max_response_mm:g}, "
-                f"{name} by {size:.3g} mm"
+                f"{name} by {size:.3g} mm",
             )
     if limits.max_paper_edge is not None and targets and at_edge > limits.max_paper_edge * targets:
-        return f"the smear of {at_edge} of {targets} targets reaches the edge of its paper; lower the amplitude"
+        return Violation(
+            "max_paper_edge",
+            f"the smear of {at_edge} of {targets} targets reaches the edge of its paper; lower the amplitude",
+        )
     return None
 
 
@@ -130,8 +167,10 @@ def _too_large(limit_mm: float, rows: Sequence[Mapping[str, Any]]) -> tuple[list
     return sure, doubtful
 
 
-def check_workers(limits: InterlockLimits, oldest_waiting_s: float) -> str | None:
+def check_workers(limits: InterlockLimits, oldest_waiting_s: float) -> Violation | None:
     """Workers make no progress."""
     if oldest_waiting_s <= limits.worker_stall_s:
         return None
-    return f"a capture has waited {oldest_waiting_s:.0f} s to be measured; look at the worker processes"
+    return Violation(
+        "worker_stall_s", f"a capture has waited {oldest_waiting_s:.0f} s to be measured; look at the worker processes"
+    )

@@ -95,7 +95,7 @@ class ManualCaptures:
     window_s
         Frames of one outside release arrive from all cameras within this time.
     on_failure
-        Called when a capture came to nothing after it was fired: what it left is to be recovered.
+        Called when a capture failed after it was fired: what it left is to be recovered.
     """
 
     def __init__(

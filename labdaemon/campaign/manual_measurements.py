@@ -1,4 +1,4 @@
-"""What becomes of captures that belong to no campaign: their folder, their sharp set, their groups, their envelope."""
+"""Measures captures that belong to no campaign: their folder, their sharp set, their groups, their envelope."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stored captures on their way to published envelopes, behind the engine's back but never far behind.
+"""The queue between stored captures and published envelopes, measured while the engine captures on.
 
 At most `depth` captures wait or are measured at a time: beyond that the engine, and with it the table, waits. Nothing
 is dropped, so a crash at any point leaves in the journal exactly the captures that are still to be measured.
@@ -81,8 +81,16 @@ class CaptureMeasurer(Protocol):
         ...
 
 
+class ResultObserver(Protocol):
+    """Follows the results of a `MeasurementQueue`."""
+
+    def result_published(self, campaign: str, name: str, rows: Rows) -> None:
+        """The envelope of this capture or group is in the journal; called on the event loop."""
+        ...
+
+
 class MeasurementQueue:
-    """The queue between capturing and publishing.
+    """Measures stored captures in the background and publishes their envelopes.
 
     Parameters
     ----------
@@ -105,8 +113,8 @@ class MeasurementQueue:
     ) -> None:
         self._recorder, self._measurer, self._clock, self._data = recorder, measurer, clock, data
         self._slots = asyncio.Semaphore(depth)
-        self.published: Callable[[str, str, Rows], None] = lambda campaign, name, rows: None
-        """Called with campaign, name and envelope rows of each result, on the event loop."""
+        self.observer: ResultObserver | None = None
+        """Learns of each result."""
         self._tasks: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._since: dict[tuple[str, str], float] = {}
         self._group_sizes: dict[str, Mapping[str, int]] = {}
@@ -304,7 +312,8 @@ class MeasurementQueue:
         )
         await self._append(campaign, folder, measured, again=again)
         self.finished += 1
-        self.published(campaign, name, measured.envelope)
+        if self.observer is not None:
+            self.observer.result_published(campaign, name, measured.envelope)
 
     async def _give_up(
         self, campaign: str, name: str, names: list[str], exc: LabdaemonError, *, is_manual: bool

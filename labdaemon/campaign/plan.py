@@ -109,7 +109,7 @@ class _Draft:
 
 
 class _Planner:
-    """Walks the phases of one campaign."""
+    """Turns the phases of one campaign into drafts of steps."""
 
     def __init__(self, campaign: Campaign, rig: PlanRig) -> None:
         self.campaign, self.rig = campaign, rig

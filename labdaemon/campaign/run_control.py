@@ -63,7 +63,7 @@ class RunControl:
         self.no_capture_in_flight.clear()
 
     def capture_ended(self) -> None:
-        """The capture is stored, or came to nothing; if a request waited for that, the step is left now."""
+        """The capture is stored, or has failed; if a request waited for that, the step is left now."""
         self.no_capture_in_flight.set()
         if self.requested != "go" and self._step_task is not None:
             self._step_task.cancel()

@@ -44,7 +44,7 @@ class StepRunner:
         Raises
         ------
         DeviceError, DataError, InterlockError
-            A capture came to nothing, or outside releases did not come.
+            A capture failed, or outside releases did not come.
         """
         match step.kind:
             case "pause":

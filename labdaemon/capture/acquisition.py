@@ -1,4 +1,4 @@
-"""One capture, from the table's excitation to stored frames: its whole journey is `acquire`, top to bottom."""
+"""One capture, from the table's excitation to stored frames: `acquire` is the whole sequence."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ async def acquire(context: AcquisitionContext, request: CaptureRequest, observer
     Raises
     ------
     DeviceError, DataError, InterlockError
-        It came to nothing. Whatever it left, on cards and in the journal, is for `labdaemon.capture.recover`.
+        The capture failed. What it left, on cards and in the journal, is for `labdaemon.capture.recover`.
     """
     if request.excitation is not None:
         await context.table.shake(request.excitation)

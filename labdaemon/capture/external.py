@@ -111,7 +111,7 @@ async def store_release(
     Raises
     ------
     DeviceError, DataError
-        It came to nothing. Whatever it left, on cards and in the journal, is for `labdaemon.capture.recover`.
+        The capture failed. What it left, on cards and in the journal, is for `labdaemon.capture.recover`.
     """
     observer.capture_started()
     intended = request.intended()

@@ -1,4 +1,4 @@
-"""Waiting for several cameras at once, with no task left behind that would read a camera's news in another's place."""
+"""Waits for several cameras at once; no task is left behind that would take a file from the next wait."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looking at a file on a camera before it is fetched: its size asked anew, and whether its content is RAW."""
+"""Inspects a file on a camera before it is fetched: its size asked anew, and whether its content is RAW."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The journal and the data disk on lines of their own, so that no fsync holds up an interlock."""
+"""The journal and the data disk on threads of their own, so that no fsync holds up an interlock."""
 
 from __future__ import annotations
 

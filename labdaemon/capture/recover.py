@@ -175,7 +175,7 @@ def _move_aside(data: Path, frame: FrameRecord, to: Path) -> Path:
 
 
 async def _set_aside_leftovers(context: AcquisitionContext, name: str, files: list[CardFile]) -> None:
-    """Set aside what a capture that was given up is owed; all else on the card is somebody else's, and is left alone.
+    """Set aside what a capture that was given up is owed; all other files on the card are foreign and stay there.
 
     A file that is still being written is neither: it is looked at before the next release.
     """

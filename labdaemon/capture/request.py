@@ -1,4 +1,4 @@
-"""What a capture is to be, and who follows it: the two things that `labdaemon.capture.acquisition.acquire` is given."""
+"""The request for a capture, and the Protocol of the observer that follows it; see `labdaemon.capture.acquisition`."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class CaptureObserver(Protocol):
     """Follows a capture; its methods are called in this order, on the event loop."""
 
     def capture_started(self) -> None:
-        """The shutters are about to open: from now on the capture is worth seeing to its end."""
+        """The shutters are about to open: from now on the capture is completed, not interrupted."""
         ...
 
     def capture_fired(self, capture: CaptureRecord) -> None:
@@ -103,5 +103,5 @@ class CaptureObserver(Protocol):
         ...
 
     def capture_ended(self) -> None:
-        """The capture is safe, or came to nothing; it may be called twice."""
+        """The capture is stored, or has failed; this may be called twice."""
         ...

@@ -1,4 +1,4 @@
-"""The physical set-up as the daemon holds it: each driver on a line of its own, and the ways to bring it to rest."""
+"""The physical set-up as the daemon holds it: each driver with its executor, and the deadlines of its calls."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OBSERVE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class DeviceHandle(Generic[D]):
-    """A driver, and the line on which it is called."""
+    """A driver, and the executor that calls it."""
 
     driver: D
     executor: DeviceExecutor
@@ -54,7 +54,7 @@ class DeviceHandle(Generic[D]):
 
     @contextmanager
     def _as_device_error(self) -> Iterator[None]:
-        """A driver's slip is that device's fault like any other, and must not end what stops the table."""
+        """An error in a driver counts as a fault of its device, and must not end what stops the table."""
         try:
             yield
         except LabdaemonError:

@@ -1,4 +1,4 @@
-"""Keeps an eye on what stops the table, in every state: shaker and trigger answer, and a table at rest rests.
+"""Watches what stops the table, in every state: shaker and trigger answer, and a table at rest rests.
 
 It runs from the daemon's first moment to its last, campaign or none. A wire that is lost is a fault within three
 seconds, is opened anew each second, and stops a moving table; a stop that nothing confirmed is tried again each second.
@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
 from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.capture.table import Table
@@ -30,6 +29,28 @@ GAUGE_ROUNDS = 3
 """A table at rest is looked at with the gauge in one round of so many."""
 
 
+class FaultObserver(Protocol):
+    """Learns of faults of the devices that stop the table."""
+
+    def report(self, error: LabdaemonError, action: str) -> None:
+        """A fault, and what is done about it."""
+        ...
+
+    def trip(self, error: LabdaemonError) -> None:
+        """A wire was lost while the table moves: leave the campaign and stop the table."""
+        ...
+
+
+class FaultLog:
+    """Writes faults to the log, as long as no campaign can be left."""
+
+    def report(self, error: LabdaemonError, action: str) -> None:
+        log.error("%s (%s)", error, action)
+
+    def trip(self, error: LabdaemonError) -> None:
+        """Nothing of ours moves the table yet."""
+
+
 class TableMonitor:
     """Watches the wires that stop the table.
 
@@ -40,18 +61,15 @@ class TableMonitor:
 
     Attributes
     ----------
-    report
-        Called with every fault and what is done about it.
-    trip
-        Called when a wire is lost while the table moves: the campaign is left and the table stopped.
+    observer
+        Learns of every fault; the log alone at first.
     lost
         Names of the devices that do not answer.
     """
 
     def __init__(self, rig: Rig, table: Table, clock: Clock) -> None:
         self._rig, self._table, self._clock = rig, table, clock
-        self.report: Callable[[LabdaemonError, str], None] = _log_fault
-        self.trip: Callable[[LabdaemonError], None] = lambda error: None
+        self.observer: FaultObserver = FaultLog()
         self.lost: set[str] = set()
         self._misses: dict[str, int] = {}
         self._rounds = self._rounds_up = self._rounds_moving = 0
@@ -78,9 +96,9 @@ class TableMonitor:
             return
         assert exc is not None
         moving = self._table.excitation is not None
-        self.report(_lost(exc, shaker, moving), "stop the table" if moving else "open it anew")
+        self.observer.report(_lost(exc, shaker, moving), "stop the table" if moving else "open it anew")
         if moving:
-            self.trip(exc)
+            self.observer.trip(exc)
         elif self._table.unconfirmed is None:  # read back or not, it must be seen again
             self._table.unconfirmed = rest_unconfirmed(self._table.observer.evidence(), [str(exc)])
 
@@ -95,7 +113,7 @@ class TableMonitor:
         exc = await self._table.observer.query_trigger()
         if self._becomes_lost(trigger, exc):
             assert exc is not None
-            self.report(_lost(exc, trigger, self._table.excitation is not None), "open it anew")
+            self.observer.report(_lost(exc, trigger, self._table.excitation is not None), "open it anew")
         # Up although nothing of ours raised it: an earlier process did, and the question itself holds it up. A line
         # that is just being raised is up for less than a round.
         table = self._table
@@ -158,7 +176,9 @@ class TableMonitor:
             moves = table.state == "moving" and not table.is_stopping
             self._rounds_moving = self._rounds_moving + 1 if moves else 0
             if self._rounds_moving == IN_A_ROW:  # said once, and not fought: a person may be trying the shaker by hand
-                self.report(DeviceError("the table moves although nothing of ours moves it; look at it"), "none")
+                self.observer.report(
+                    DeviceError("the table moves although nothing of ours moves it; look at it"), "none"
+                )
             return
         if table.is_stopping:
             return  # that stop tries by itself
@@ -177,7 +197,3 @@ def _lost(exc: LabdaemonError, device: DeviceHandle[Any], moving: bool) -> Devic
         else ("use the emergency stop if the table moves")
     )
     return DeviceError(f"{str(exc).removeprefix(f'{name}: ')}; {what}", device=name)
-
-
-def _log_fault(exc: LabdaemonError, action: str) -> None:
-    log.error("%s (%s)", exc, action)

@@ -1,4 +1,4 @@
-"""Looks at the table: asks whatever can see whether it moves, and remembers what was seen and when."""
+"""Observes the table: asks every device that can see whether it moves, and remembers what was seen and when."""
 
 from __future__ import annotations
 

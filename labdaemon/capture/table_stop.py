@@ -1,8 +1,8 @@
-"""Bringing the table to rest, and not believing it before something that can see has seen it.
+"""Brings the table to rest, which counts only when something that can see the table confirms it.
 
 First the ramp, for as long as the shaker's wire answers; where it does not, the shaker's hard stop and the drop of the
 enable line go out together, on wires opened anew, again and again, until the verdict of
-`labdaemon.capture.table_evidence` is rest or the patience is over. Who called then tries on, see
+`labdaemon.capture.table_evidence` is rest or the patience is over. The table monitor then repeats it, see
 `labdaemon.capture.table_monitor`.
 """
 

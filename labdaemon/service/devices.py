@@ -1,4 +1,4 @@
-"""The rig file's devices: each driver found by its entry point, built, and put on a line of its own."""
+"""The rig file's devices: each driver found by its entry point, built, and given a thread of its own."""
 
 from __future__ import annotations
 

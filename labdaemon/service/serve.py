@@ -92,7 +92,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         await _follow_guardian(context, engine)
         rig = _describe_rig(context, identities, publisher.address)
         submitted = partial(_plan, context, steps, check_disk=True)
-        context.table_monitor.report, context.table_monitor.trip = engine.report, engine.trip
+        context.table_monitor.observer = engine
         start.checks |= _checks(engine)
         context.deferred.serve(handlers(engine, submitted, status, rig), context.journal)
         if hook is not None:

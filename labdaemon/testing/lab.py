@@ -170,7 +170,7 @@ class FakeLab:
             policy=self.policy,
         )
         self.table_monitor = TableMonitor(self.fake.rig, table, self.clock)
-        self.table_monitor.report, self.table_monitor.trip = self.engine.report, self.engine.trip
+        self.table_monitor.observer = self.engine
         self._run = asyncio.create_task(self.engine.run())
         self._keeping = asyncio.create_task(self.table_monitor.run())
 

@@ -29,6 +29,12 @@ class Scene:
     faults: list[tuple[float, str]] = field(default_factory=list)
     trips: list[LabdaemonError] = field(default_factory=list)
 
+    def report(self, error: LabdaemonError, action: str) -> None:
+        self.faults.append((self.clock.monotonic(), str(error)))
+
+    def trip(self, error: LabdaemonError) -> None:
+        self.trips.append(error)
+
     def lose(self, *devices: str) -> None:
         for device in devices:
             for operation in ("state", "stop", "stop_now", "connect", "heartbeat", "drop_enable", "read"):
@@ -43,8 +49,7 @@ def run(scenario: Callable[[Scene], Awaitable[None]]) -> None:
     fake = fake_rig(clock)
     table = Table(fake.rig, clock, 0.2)
     scene = Scene(fake, table, TableMonitor(fake.rig, table, clock), clock)
-    scene.table_monitor.report = lambda error, action: scene.faults.append((clock.monotonic(), str(error)))
-    scene.table_monitor.trip = scene.trips.append
+    scene.table_monitor.observer = scene
 
     async def main() -> None:
         await table.stop(at_once=True)
