@@ -1,6 +1,6 @@
 """`labdaemon bench interlock`: from an interlock's trip to the shaker's first stop command on the wire.
 
-The guard, the table, the lines and the drivers are the daemon's own; the rig is simulated in a process of its own; a
+The monitor, the table, the lines and the drivers are the daemon's own; the rig is simulated in a process of its own; a
 proxy in the shaker's wire notes when which command passes. Half of the trips come while the shaker is still ramping.
 """
 
@@ -121,7 +121,7 @@ async def measure(rig_file: Path, proxy: RecordingProxy, data: Path, trips: int)
     await table.stop(at_once=True)
     await connect_others(rig)
     journal = Journal(data, clock)
-    lab = AcquisitionContext(rig, table, Recorder(journal, ThreadExecutor("journal")), clock, data)
+    context = AcquisitionContext(rig, table, Recorder(journal, ThreadExecutor("journal")), clock, data)
     tripped: list[float] = []
     stopped: list[asyncio.Task[Any]] = []
 
@@ -133,23 +133,25 @@ async def measure(rig_file: Path, proxy: RecordingProxy, data: Path, trips: int)
     async def quiet() -> None:
         return None
 
-    disk = DataDisk(lab.recorder, lambda: 1 << 40, 0)
-    guard = InterlockMonitor(lab, InterlockLimits(), trip, disk=disk, oldest_s=lambda: 0.0, no_capture_in_flight=quiet)
-    watching = asyncio.create_task(guard.run())
+    disk = DataDisk(context.recorder, lambda: 1 << 40, 0)
+    monitor = InterlockMonitor(
+        context, InterlockLimits(), trip, disk=disk, oldest_s=lambda: 0.0, no_capture_in_flight=quiet
+    )
+    watching = asyncio.create_task(monitor.run())
     found: dict[bool, list[float]] = {False: [], True: []}
     try:
         for number in range(trips):
             ramping = number % 2 == 1
             tripped.clear()
             stopped.clear()
-            guard.limits = InterlockLimits(gauge_disagreement=None)
+            monitor.limits = InterlockLimits(gauge_disagreement=None)
             excitation = Excitation(6.0, 4.0 if ramping else 0.5, max_change_per_cycle=1.0, timeout_s=5.0)
             shaking = asyncio.create_task(table.shake(excitation))
             if ramping:
                 await asyncio.sleep(0.4)
             else:
                 await shaking
-            guard.limits = replace(guard.limits, max_response_mm=1e-6)
+            monitor.limits = replace(monitor.limits, max_response_mm=1e-6)
             while not stopped:
                 await asyncio.sleep(0.005)
             await asyncio.gather(*stopped)

@@ -56,7 +56,7 @@ class OutputSwitch(Protocol):
 
 
 @runtime_checkable
-class AmplifierMonitor(Protocol):
+class AmplifierStatusSource(Protocol):
     """A shaker driver that says whether its device reports the state of the amplifier."""
 
     reports_amplifier: bool
@@ -81,7 +81,7 @@ def can_switch_off(shaker: object) -> bool:
 
 def reports_amplifier(shaker: object) -> bool:
     """Whether a shaker driver's device reports its amplifier; only where the driver says so."""
-    return isinstance(shaker, AmplifierMonitor) and bool(shaker.reports_amplifier)
+    return isinstance(shaker, AmplifierStatusSource) and bool(shaker.reports_amplifier)
 
 
 def reopens_wire(driver: object) -> bool:

@@ -203,7 +203,7 @@ async def _run_parts(
 
 def _engine(context: DaemonContext, recorder: Recorder, pool: WorkerPool, planner: Callable[[str], Plan]) -> Engine:
     interlocks = context.config.interlocks
-    lab = AcquisitionContext(
+    acquisition = AcquisitionContext(
         context.rig,
         context.table,
         recorder,
@@ -214,7 +214,7 @@ def _engine(context: DaemonContext, recorder: Recorder, pool: WorkerPool, planne
     )
     measurer = context.measurer(pool, context.journal) if context.measurer is not None else PoolMeasurer(pool)
     engine = Engine(
-        lab,
+        acquisition,
         MeasurementQueue(recorder, measurer, context.clock, context.data, depth=2 * pool.workers),
         planner,
         InterlockLimits(**interlocks.model_dump(exclude={"accept_no_enable"})),

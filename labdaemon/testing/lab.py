@@ -158,11 +158,11 @@ class FakeLab:
         recorder = Recorder(self.journal, InlineExecutor("journal", lambda: 0.0))
         table = Table(self.fake.rig, self.clock, self.limits.gauge_disagreement)
         table.observer.proof = self.proof
-        lab = AcquisitionContext(self.fake.rig, table, recorder, self.clock, self.data)
-        measuring = MeasurementQueue(recorder, self.measurer, self.clock, self.data)
+        context = AcquisitionContext(self.fake.rig, table, recorder, self.clock, self.data)
+        queue = MeasurementQueue(recorder, self.measurer, self.clock, self.data)
         self.engine = Engine(
-            lab,
-            measuring,
+            context,
+            queue,
             self.plan,
             self.limits,
             folder_files={"rig.toml": "", "control.csv": ""},
