@@ -160,7 +160,7 @@ class ScpiShaker:
             if self._commands.output_on:
                 with self._link.exclusive():  # a stop from another thread comes before this or switches off after it
                     self._pass_gate()
-                    self._link.tell(self._commands.output_on)
+                    self._link.write(self._commands.output_on)
         self._ramp(now, frequency_hz, amplitude_mm)
         self._confirm(frequency_hz, amplitude_mm)
 
@@ -185,15 +185,15 @@ class ScpiShaker:
 
     def state(self) -> ShakerState:
         """Ask the controller. The amplitude is NaN at a frequency outside the calibration."""
-        frequency_hz = self._link.ask_number(self._commands.get_frequency)
-        level = self._link.ask_number(self._commands.get_level)
+        frequency_hz = self._link.query_number(self._commands.get_frequency)
+        level = self._link.query_number(self._commands.get_level)
         if frequency_hz <= 0:
             raise ProtocolError(f"reports a frequency of {frequency_hz:g} Hz", device=self.name)
         if self._commands.get_output:
-            running = self._link.ask_switch(self._commands.get_output)
+            running = self._link.query_switch(self._commands.get_output)
         else:
             running = level > self._lowest_level * 1.01
-        amplifier_on = self._link.ask_switch(self._commands.get_amplifier) if self.reports_amplifier else None
+        amplifier_on = self._link.query_switch(self._commands.get_amplifier) if self.reports_amplifier else None
         return ShakerState(running, frequency_hz, level / self._per_mm(frequency_hz), amplifier_on)
 
     def stop(self) -> None:
@@ -210,7 +210,7 @@ class ScpiShaker:
         with self._link.limit_waits(STOP_ANSWER_S):
             with suppress(DeviceError):  # what matters is the output, and that is switched off and confirmed below
                 self._ramp_down()
-            self._link.tell_at_once(self._off_command)
+            self._link.write_at_once(self._off_command)
             self._switch_off()
 
     def stop_now(self) -> None:
@@ -245,7 +245,7 @@ class ScpiShaker:
         """Send the output-off whatever the wire is busy with, on a wire opened anew if it is closed."""
         if not self._line.is_open:
             self._link.reopen()
-        self._link.tell_at_once(self._off_command)
+        self._link.write_at_once(self._off_command)
 
     def _ramp_down(self) -> None:
         """From what was sent last to the lowest level; nothing where that is unknown.
@@ -262,17 +262,17 @@ class ScpiShaker:
         for step in range(1, steps + 1):
             level = (start_mm - fall_mm * step / steps) * self._per_mm(frequency_hz)
             if step == 1:
-                self._link.tell_at_once(self._level_command(level))
+                self._link.write_at_once(self._level_command(level))
             else:
-                self._link.tell(self._level_command(level))
-            self._link.ask(self._commands.get_level)
+                self._link.write(self._level_command(level))
+            self._link.query(self._commands.get_level)
             time.sleep(max(begin + step * RAMP_TICK_S - time.monotonic(), 0.0))
 
     def _switch_off(self) -> None:
         fault: DeviceError | None = None
         for _ in range(STOP_TRIES):
             try:
-                self._link.tell(self._off_command)
+                self._link.write(self._off_command)
                 if not self._still_on():
                     self._sent = None
                     return
@@ -289,13 +289,13 @@ class ScpiShaker:
 
     def _still_on(self) -> bool:
         if self._commands.get_output:
-            return self._link.ask_switch(self._commands.get_output)
+            return self._link.query_switch(self._commands.get_output)
         return self.state().running
 
     def _prepare(self, frequency_hz: float) -> None:
         """At rest: form, frequency and lowest level, so that switching on moves next to nothing."""
         for command in self._commands.setup:
-            self._link.tell(command)
+            self._link.write(command)
         self._send_frequency(frequency_hz)
         self._send_level(frequency_hz, self._lowest_mm(frequency_hz))
         self._link.check_errors("being set up")
@@ -385,12 +385,12 @@ class ScpiShaker:
         return bool(self._trim_at_hz) and abs(math.log(frequency_hz / self._trim_at_hz)) > math.log(SAME_FREQUENCY)
 
     def _send_frequency(self, frequency_hz: float) -> None:
-        self._link.tell(self._commands.set_frequency.format(frequency_hz=frequency_hz))
+        self._link.write(self._commands.set_frequency.format(frequency_hz=frequency_hz))
 
     def _send_level(self, frequency_hz: float, amplitude_mm: float) -> None:
         level_mm = max(amplitude_mm, self._lowest_mm(frequency_hz))
         self._sent = frequency_hz, level_mm  # before it goes out: a stop begins below what may have arrived
-        self._link.tell(self._level_command(level_mm * self._per_mm(frequency_hz)))
+        self._link.write(self._level_command(level_mm * self._per_mm(frequency_hz)))
 
     def _level_command(self, level: float) -> str:
         return self._commands.set_level.format(**{self._commands.level_name: level})

@@ -102,7 +102,7 @@ class ScpiLink:
             fault: DeviceError | None = None
             for _ in range(IDENTITY_TRIES if self._wait_limit_s is None else HASTY_TRIES):
                 try:
-                    answer = self._ask(self._commands.identify)
+                    answer = self._query(self._commands.identify)
                 except (TransportError, ProtocolError) as exc:
                     fault = exc
                     self._line.discard()
@@ -115,7 +115,7 @@ class ScpiLink:
                 f"gives another identity each time ({before!r}); check baud rate and wiring", device=self.device
             )
 
-    def tell(self, command: str) -> None:
+    def write(self, command: str) -> None:
         """Send a setting; wait for its acknowledgement if the controller gives one."""
         with self.exclusive(), self._note_faults():
             self._resync()
@@ -127,23 +127,23 @@ class ScpiLink:
                         f"answered {answer!r} to {command!r}, not {self._commands.acknowledge!r}", device=self.device
                     )
 
-    def tell_at_once(self, command: str) -> None:
+    def write_at_once(self, command: str) -> None:
         """Send a setting even while another thread waits for a reply: for stopping."""
         # A controller that acknowledges settings has now two answers to give, and who waits may see the wrong one.
         self._dirty = self._dirty or bool(self._commands.acknowledge)
         self._line.write(command.encode("ascii") + b"\n")
 
-    def ask(self, question: str) -> str:
+    def query(self, question: str) -> str:
         """One question, one line of answer."""
         with self.exclusive(), self._note_faults():
             self._resync()
-            return self._ask(question)
+            return self._query(question)
 
-    def ask_number(self, question: str) -> float:
+    def query_number(self, question: str) -> float:
         """A question whose answer is a number; asked once more if it is not."""
-        return self._ask_parsed(question, _number, "where a number belongs")
+        return self._query_parsed(question, _number, "where a number belongs")
 
-    def ask_switch(self, question: str) -> bool:
+    def query_switch(self, question: str) -> bool:
         """Whether an output is on; asked once more if the answer is neither on nor off."""
 
         def switch(answer: str) -> bool:
@@ -153,12 +153,12 @@ class ScpiLink:
                 return False
             raise ValueError
 
-        return self._ask_parsed(question, switch, "which is neither on nor off")
+        return self._query_parsed(question, switch, "which is neither on nor off")
 
-    def _ask_parsed(self, question: str, parse: Callable[[str], T], complaint: str) -> T:
+    def _query_parsed(self, question: str, parse: Callable[[str], T], complaint: str) -> T:
         for last in (False, True):
             try:
-                answer = self.ask(question)
+                answer = self.query(question)
                 try:
                     return parse(answer)
                 except ValueError:
@@ -177,7 +177,7 @@ class ScpiLink:
             return
         errors: list[str] = []
         for _ in range(LONGEST_QUEUE):
-            number, entry = self._ask_parsed(self._commands.error, _entry, "where an error number belongs")
+            number, entry = self._query_parsed(self._commands.error, _entry, "where an error number belongs")
             if number == 0:
                 break
             errors.append(entry)
@@ -186,7 +186,7 @@ class ScpiLink:
         if errors:
             raise DeviceRefused(f"refused while {doing}: {'; '.join(errors)}", device=self.device)
 
-    def _ask(self, question: str) -> str:
+    def _query(self, question: str) -> str:
         self._line.write(question.encode("ascii") + b"\n")
         return self._read()
 

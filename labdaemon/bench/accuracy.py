@@ -68,7 +68,7 @@ def run_accuracy(
     only: frozenset[str] | None = None,
     keep: Path | None = None,
     workers: int = 0,
-    tell: Progress = lambda _: None,
+    report: Progress = lambda _: None,
 ) -> AccuracyResult:
     """Render and measure.
 
@@ -84,7 +84,7 @@ def run_accuracy(
         Where to leave the rendered folders; None to throw them away.
     workers
         Processes, 0 for one a core.
-    tell
+    report
         Called at each case's completion.
 
     Raises
@@ -108,7 +108,7 @@ def run_accuracy(
             result.ours.extend(pair_up(truth, _envelope(folder, pool, "fit")))
             if result.published is not None:
                 result.published.extend(pair_up(truth, _envelope(folder, pool, "paper")))
-            tell(f"seed {seed}: {result.case.title}")
+            report(f"seed {seed}: {result.case.title}")
             if keep is None:
                 _forget_frames(folder)
         bounds = _finish_bounds(tables)

@@ -78,7 +78,7 @@ def accuracy(
         only=frozenset(only) or None,
         keep=keep,
         workers=workers,
-        tell=lambda text: click.echo(text, err=True),
+        report=lambda text: click.echo(text, err=True),
     )
     if as_json:
         click.echo(json.dumps(document(result)))

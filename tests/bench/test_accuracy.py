@@ -30,9 +30,9 @@ def tiny_programme(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_a_small_programme_from_frames_to_figures(tiny_programme: None, tmp_path: Path) -> None:
-    told: list[str] = []
-    result = accuracy.run_accuracy((2,), quick=True, keep=tmp_path / "kept", workers=1, tell=told.append)
-    assert told == ["seed 2: pooled", "seed 2: phase", "seed 2: part cycles"]
+    reported: list[str] = []
+    result = accuracy.run_accuracy((2,), quick=True, keep=tmp_path / "kept", workers=1, report=reported.append)
+    assert reported == ["seed 2: pooled", "seed 2: phase", "seed 2: part cycles"]
     assert (tmp_path / "kept" / "pooled-2" / "truth.csv").exists()
     by_key = {case.case.key: case for case in result.cases}
     for case in result.cases:
