@@ -11,9 +11,9 @@ def main(*addresses: str, count: int | None = None) -> None:
     """Print one line per envelope; stop after `count` of them."""
     with ld.Client(*addresses) as lab:
         seen = 0
-        for event in lab.events(after=0):
-            if event["kind"] == "envelope":
-                print(ld.Envelope.from_event(event["data"]))
+        for event in lab.typed_events(after=0):
+            if isinstance(event, ld.events.EnvelopeMeasured):
+                print(event.data.envelope())
                 seen += 1
                 if seen == count:
                     return

@@ -84,6 +84,7 @@ def test_no_file_is_touched_on_the_event_loop_while_the_daemon_serves(
         daemon = start_daemon(config, tmp_path / "data")
         daemons.append(daemon)
         daemon.ready()
+        wait_for(daemon, lambda status: status["state"] != "starting")  # on a busy machine a device may come late
         assert "control.csv" in notes.read_text()  # it watches: some files are read at the start
         served = notes.stat().st_size
         if not attempt:

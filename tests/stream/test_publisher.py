@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import runpy
 import threading
 from collections.abc import Iterator
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -287,6 +289,19 @@ def test_the_client_gives_typed_events_and_the_latest_of_each_kind() -> None:
         assert [event.seq for event in steps][:2] == [1, 2]
         assert (steps[0].data.step, steps[0].campaign) == (0, "c1")
         assert client.latest()["step.completed"]["seq"] == 2
+
+
+def test_the_example_that_follows_the_stream_prints_an_envelope(capsys: pytest.CaptureFixture[str]) -> None:
+    row = {"target": "T01", **{f"{name}{axis}_mm": 0.0 for name in ("", "a", "b") for axis in "xyz"}, "flags": []}
+    outbox = ListOutbox(count=1)
+    data = {"capture": "c0001", "targets": [row | {"ax_mm": 0.4, "az_mm": 0.3}]}
+    outbox.events.append(StoredEvent(2, "2026-05-04T10:11:12.000000Z", "envelope", "c1", data, outbox.uuid))
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "follow_stream.py"))
+    with Service(outbox) as service:
+        example["main"](service.server.address, service.publisher.address, count=1)
+    assert "largest amplitude 0.5000 mm" in capsys.readouterr().out
+        "<Envelope c0001: 1 targets, 1 without flags, largest amplitude 0.5000 mm"
+    )
 
 
 def test_a_client_that_asks_and_never_reads_harms_nobody() -> None:
