@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from labdaemon.campaign.external_listener import ExternalListener
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.lookup import has_ended, outline, state_of
 from labdaemon.campaign.measurement_queue import MeasurementQueue
-from labdaemon.campaign.outside_listener import OutsideListener
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner
 from labdaemon.campaign.run_control import RunControl
@@ -55,7 +55,7 @@ class CampaignRunner:
     reporter: CampaignReporter
     files: CampaignFiles
     step_runner: RetryingStepRunner
-    listener: OutsideListener
+    listener: ExternalListener
     accept_changed_rig: bool
     current: CampaignRecord | None = None
     plan: Plan | None = None

@@ -10,6 +10,7 @@ from typing import Any
 
 from labdaemon.campaign.campaign_runner import CHANGED_RIG, CampaignRunner
 from labdaemon.campaign.disk import DataDisk
+from labdaemon.campaign.external_listener import ExternalListener
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.interlock_monitor import InterlockMonitor
 from labdaemon.campaign.interlocks import InterlockLimits, check_envelope
@@ -18,7 +19,6 @@ from labdaemon.campaign.manual import ManualCaptures
 from labdaemon.campaign.manual_measurements import ManualMeasurements
 from labdaemon.campaign.manual_request import ManualRequest
 from labdaemon.campaign.measurement_queue import MeasurementQueue, Rows
-from labdaemon.campaign.outside_listener import OutsideListener
 from labdaemon.campaign.reporter import RECORD_S, CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner, RetryPolicy
 from labdaemon.campaign.run_control import RunControl
@@ -93,7 +93,7 @@ class Engine:
         self.enable_line = self.step_runner.enable_line
         manual = ManualMeasurements(context, queue, self.reporter, folder_files)
         self.manual = ManualCaptures(context, manual, self.reporter, policy.window_s, self._request_recovery)
-        self._listener = OutsideListener(context, self.manual, self.step_runner, self.reporter, policy)
+        self._listener = ExternalListener(context, self.manual, self.step_runner, self.reporter, policy)
         self.runner = CampaignRunner(
             context,
             queue,

@@ -174,7 +174,7 @@ async def set_aside(context: FrameContext, camera: str, file: CardFile) -> None:
 
 
 async def wait_frames(
-    context: FrameContext, opening: Opening, seen: Mapping[str, frozenset[int]], *, is_outside: bool = False
+    context: FrameContext, opening: Opening, seen: Mapping[str, frozenset[int]], *, is_external: bool = False
 ) -> dict[str, CardFile]:
     """Each camera's own file of this opening.
 
@@ -182,7 +182,7 @@ async def wait_frames(
     ----------
     seen
         Handles that were on the cards before the release.
-    is_outside
+    is_external
         Others release the shutters.
 
     Raises
@@ -194,7 +194,7 @@ async def wait_frames(
     """
     cameras = context.rig.cameras
     files = await gather_or_cancel(
-        _wait_frame(context, name, opening, seen.get(name, frozenset()), is_outside) for name in cameras
+        _wait_frame(context, name, opening, seen.get(name, frozenset()), is_external) for name in cameras
     )
     return dict(zip(cameras, files, strict=True))
 
@@ -216,13 +216,13 @@ async def wait_external_frames(context: FrameContext, opened_at: datetime, expos
     """
     passed_s = (context.clock.now() - opened_at).total_seconds()
     opening = Opening("", "", context.clock.monotonic() - passed_s, exposure_s)
-    files = await wait_frames(context, opening, {}, is_outside=True)
+    files = await wait_frames(context, opening, {}, is_external=True)
     context.clocks.update(files, opening)
     return files
 
 
 async def _wait_frame(
-    context: FrameContext, camera: str, opening: Opening, seen: frozenset[int], is_outside: bool
+    context: FrameContext, camera: str, opening: Opening, seen: frozenset[int], is_external: bool
 ) -> CardFile:
     clock, clocks = context.clock, context.clocks
     owed = [
@@ -243,7 +243,7 @@ async def _wait_frame(
         now_s = clock.monotonic()
         verdict = FileOrigin.EARLIER
         if file.handle not in seen:
-            verdict = clocks.judge(camera, file, opening, owed, is_outside=is_outside)
+            verdict = clocks.judge(camera, file, opening, owed, is_external=is_external)
         if verdict is FileOrigin.OWN:
             return file
         if verdict is FileOrigin.EARLIER:

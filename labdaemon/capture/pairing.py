@@ -172,7 +172,7 @@ class CameraClocks:
         return next((opening for opening in openings if clock.fits(stamp_s, opening)), None)
 
     def judge(
-        self, camera: str, file: CardFile, opening: Opening, owed: Sequence[Opening] = (), *, is_outside: bool = False
+        self, camera: str, file: CardFile, opening: Opening, owed: Sequence[Opening] = (), *, is_external: bool = False
     ) -> FileOrigin:
         """Whose a file is that arrived after this opening.
 
@@ -180,7 +180,7 @@ class CameraClocks:
         ----------
         owed
             Earlier openings whose files have not come.
-        is_outside
+        is_external
             Others release the shutters, and may have done so again: a time that does not fit may be of the next one.
         """
         by_order = FileOrigin.UNCLEAR if owed else FileOrigin.OWN
@@ -195,9 +195,9 @@ class CameraClocks:
         apparent_s = stamp_s - opening.opened_s
         rival_s = clock.rival_s
         is_set_anew = rival_s is not None and abs(apparent_s - rival_s) <= TOLERANCE_S
-        if is_set_anew or (clock.is_doubted and not is_outside):
+        if is_set_anew or (clock.is_doubted and not is_external):
             return by_order  # its clock was set: nothing else explains it
-        if not is_outside or stamp_s == clock.stamp_s:
+        if not is_external or stamp_s == clock.stamp_s:
             clock.misfits += 1
         clock.rival_s, clock.stamp_s = apparent_s, stamp_s
         return FileOrigin.FOREIGN

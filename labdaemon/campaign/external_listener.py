@@ -14,7 +14,7 @@ from labdaemon.capture.context import AcquisitionContext
 from labdaemon.errors import LabdaemonError
 
 
-class OutsideListener:
+class ExternalListener:
     """Listens for outside releases while something else is waited for.
 
     It listens where the daemon has no trigger or no shaker of its own: then captures are fired by others.
