@@ -1,7 +1,7 @@
 """All thresholds of blur/ on one page: name, unit, and where the value comes from.
 
-Three sources occur. *Statistics*: the value follows from a stated probability. *Numerics*: the value follows from the
-precision of the arithmetic. *Trial*: chosen on rendered and real frames; `labdaemon bench accuracy` and tests hold it.
+Sources: *Statistics*, the value follows from a stated probability. *Numerics*: from the precision of the arithmetic.
+*Trial*: chosen on rendered and real frames; ``labdaemon bench accuracy`` and the tests hold what it gives.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ class SolverSettings:
     undamped: float = 1e-3
     """Relative damping up to which a short step means convergence, and is not short because of the damping. Trial."""
     linear_step_px: float = 0.05
-    """Step, px or px², up to which the model counts as linear and is not evaluated again. Trial: the error that this
-    leaves is a hundredth of a standard deviation."""
+    """Step, px or px², up to which the model counts as linear: the error is a hundredth of a standard deviation."""
     last_step_sd: float = 0.1
     """Step, in standard deviations, after which the fit stops. Statistics: it changes the total error by 0.5 %."""
     reweighted_iterations: int = 2
@@ -55,10 +54,9 @@ class MeasureSettings:
     min_contrast_ratio: float = 0.2
     """Contrast of a textured patch, over the sharp frame's, below which the patch is not in the frame. Trial."""
     mean_floor_px2: float = 1e-6
-    """Variance that keeps a singular covariance (a straight path's) invertible in a weighted mean. Numerics."""
+    """Variance that keeps a straight path's covariance invertible in a weighted mean. Numerics."""
     contradiction_probability: float = 1e-5
-    """Probability of a χ² between members of a group below which they contradict each other. Statistics: one row in a
-    thousand is flagged where the stated sd are 15 % too small."""
+    """Probability of the χ² between a group's members below which they contradict each other. Statistics."""
     member_floor_px: float = 0.005
     """Error of each member that no sd states (interpolation, a change of scale with depth). Trial."""
 
@@ -173,8 +171,10 @@ class GlsSettings:
     """Largest amplitude that counts in the weights of what is not mapped. Trial."""
     max_chi2: float = 4.0
     """Mean squared residual above which better weights do not help: the residuals are not noise. Trial."""
+    frame_steps: int = 4
+    """Most steps for frames through known windows, which are nearly linear but for the phase. Numerics."""
     margin_px: int = 8
-    """Zeros around the filtered images, against wrap-around of the Fourier transform. Numerics."""
+    """Zeros around the filtered images, against wrap-around. Numerics."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from labdaemon.blur.smear.frame_set import (
     window_in_phase_transfer,
     window_orbit_transfer,
 )
+from labdaemon.blur.smear.gls import gls_refine_frames
 from labdaemon.blur.smear.uncertainty import windowed_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 
@@ -96,9 +97,10 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
 def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArray, minor: MinorAxis) -> HarmonicFit:
     """The orbit whose minor axis shows, and whether its time-reversed solution fits as well."""
     best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
-    covariance = windowed_covariance(best, frame_set, window_orbit_transfer)
+    refined = gls_refine_frames(frame_set, best, window_orbit_transfer)
+    covariance = windowed_covariance(refined, frame_set, window_orbit_transfer)
     selector = _motion_selector(frame_set, len(best.p), 4)
-    value, covariance = selector @ best.p, selector @ covariance @ selector.T
+    value, covariance = selector @ refined.p, selector @ covariance @ selector.T
     held = condition_on_phase(value, covariance)
     size, sd = _vector_length(value[2:], held[2:, 2:])
     phase_unresolved, alone = False, not frame_set.shows_phase
@@ -110,18 +112,20 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
         covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
     if time_reversed is not None:
-        away = selector @ time_reversed.p - value
+        away = selector @ (time_reversed.p - best.p)
         ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
-    return HarmonicFit(value, covariance, size, sd, best, profile, None, held, 0.0, phase_unresolved, ambiguous)
+    return HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
 
 
 def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) -> HarmonicFit:
     """The in-phase motion by all its phases, with the minor axis that it may have in the covariance."""
     best = profile.best
-    covariance = windowed_covariance(best, frame_set, window_in_phase_transfer)
+    profile = replace(profile, best=gls_refine_frames(frame_set, best, window_in_phase_transfer))
+    refined = profile.best
+    covariance = windowed_covariance(refined, frame_set, window_in_phase_transfer)
     selector = _motion_selector(frame_set, len(best.p), 3)
     linear = selector @ covariance @ selector.T
-    in_phase = marginalise_phase(profile, selector @ best.p, linear)
+    in_phase = marginalise_phase(profile, selector @ refined.p, linear)
     size, sd = _vector_length(in_phase.axis[2:], in_phase.axis_covariance[2:, 2:])
     minor_axis_variance_px2 = minor.mean_square(size)
     n, c, s = perpendicular(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
@@ -139,7 +143,7 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) 
         covariance,
         size,
         sd,
-        best,
+        refined,
         profile,
         in_phase,
         held,

@@ -14,6 +14,7 @@ from labdaemon.blur.phase.time_reversal import time_reversed_solutions
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.fit_problem import TransferFunction
 from labdaemon.blur.smear.frame_set import FrameSet, window_orbit_transfer
+from labdaemon.blur.smear.gls import gls_refine_frames
 from labdaemon.blur.smear.uncertainty import robust_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import gauss_newton_step, solve
@@ -65,6 +66,7 @@ def estimate_minor_axis(frame_set: FrameSet, profile: PhaseProfile) -> MinorAxis
     reach = 3.0 + 1.3 * float(np.hypot(*profile.vector))
     model, prior = frame_set.forward_model(_minor_axis_transfer, reach), frame_set.prior(5)
     found = gauss_newton_step(frame_set.planes, frame_set.weights, model, at, prior, profile.best.light)
+    found = gls_refine_frames(frame_set, found, _minor_axis_transfer)
     covariance = robust_covariance(frame_set.sharp, found, frame_set.planes)
     return MinorAxis(float(found.p[-2]), float(found.p[-1]), covariance[-2:, -2:])
 

@@ -7,6 +7,7 @@ in which it stands above the sharp frame's own noise (Wiener); the rest stays no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -17,10 +18,9 @@ from scipy import fft, ndimage
 from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
 from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.paper_texture import estimate_texture
-from labdaemon.blur.patch.pixels import BoolArray, FloatArray, NoiseModel, Patch
+from labdaemon.blur.patch.pixels import BoolArray, ComplexArray, FloatArray, NoiseModel, Patch
 from labdaemon.blur.settings import TEXTURE_MAP
 from labdaemon.blur.solver.reduced_equations import Solution
-from labdaemon.blur.spectra import closed_form
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,18 +42,22 @@ class PaperTextureMap:
     noise: float
 
     def blur(
-        self, blur_px2: float, moment_px2: FloatArray, centre_px: FloatArray, shape: tuple[int, int]
+        self,
+        transfer: Callable[[FloatArray, FloatArray], FloatArray | ComplexArray],
+        reach_px: FloatArray,
+        centre_px: FloatArray,
+        shape: tuple[int, int],
     ) -> FloatArray:
         """(h, w) the paper texture in a patch, smeared with the target.
 
         Parameters
         ----------
-        blur_px2
-            Extra blur.
-        moment_px2
-            (3,) the motion's aaᵀ + bbᵀ.
+        transfer
+            Transfer function of motion and extra blur, from fx (1, w) and fy (h, 1).
+        reach_px
+            (2,) how far the motion reaches in x and y.
         centre_px
-            (2,) the target's mean position in the patch.
+            (2,) the place about which the target moves, in the patch.
         shape
             Of the patch.
         """
@@ -61,7 +65,7 @@ class PaperTextureMap:
         move = centre_px - self.centre_px
         whole = np.rint(move).astype(int)
         # A path that has run away is cut at the patch's own size: its light is no evidence either way.
-        reach = np.minimum(np.ceil(np.sqrt(np.maximum(moment_px2[[0, 2]], 0.0))), max(shape))
+        reach = np.minimum(np.ceil(reach_px), max(shape))
         pad_x, pad_y = (int(v) + 2 for v in reach)
         # Everything that can have come into the patch.
         around = (height + 2 * pad_y, width + 2 * pad_x)
@@ -70,7 +74,7 @@ class PaperTextureMap:
         fx, fy = half_plane_frequencies(size)
         rest = move - whole
         turn = np.exp(-2j * np.pi * rest[1] * fy) * np.exp(-2j * np.pi * rest[0] * fx)
-        factor = closed_form.blurred_orbit_transfer(fx, fy, blur_px2, moment_px2) * turn
+        factor = transfer(fx, fy) * turn
         image = fft.irfft2(fft.rfft2(part, s=size) * factor.astype(np.complex64), s=size)
         result: FloatArray = image[pad_y : pad_y + height, pad_x : pad_x + width].astype(np.float64)
         return result

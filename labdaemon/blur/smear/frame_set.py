@@ -71,6 +71,16 @@ class FrameSet:
         """Whether the frames together show the phase: several openings, or coded light."""
         return len(self.windows) > 1 or any(window.is_coded for window in self.windows)
 
+    def rows(self, index: int) -> slice:
+        """Rows of one frame's colour planes among all."""
+        count = len(self.problems[0].planes.channel)
+        return slice(count * index, count * (index + 1))
+
+    def planes_of(self, index: int) -> ColourPlanes:
+        """One frame's pixels, padded as among all: light is fitted in the coordinates of the padded planes."""
+        rows, own = self.rows(index), self.problems[index].planes
+        return replace(own, values=self.planes.values[rows], valid=self.planes.valid[rows])
+
     def weights(self, signal: FloatArray) -> FloatArray:
         """Inverse variances of all pixels by the modelled values."""
         return pixel_weights(self.sharp, self.planes)(signal)
@@ -96,7 +106,9 @@ class FrameSet:
             frames += [*place, blur.mean_px2]
         return np.concatenate((frames, np.zeros(self.shape_count), motion))
 
-    def forward_model(self, transfer_factory: TransferFactory, max_amplitude_px: float) -> DarknessModel:
+    def forward_model(
+        self, transfer_factory: TransferFactory, max_amplitude_px: float, *, exact: bool = False
+    ) -> DarknessModel:
         """Darkness of all frames' pixels and its derivatives.
 
         Parameters
@@ -109,7 +121,7 @@ class FrameSet:
         count, plane_count = len(self.problems), len(self.problems[0].planes.channel)
         shape = self.planes.values.shape
         models = [
-            fast_forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)))
+            fast_forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)), exact=exact)
             for problem, window in zip(self.problems, self.windows, strict=True)
         ]
 

@@ -17,6 +17,7 @@ The illumination of each colour plane is eliminated first, under W: what remains
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,17 +29,20 @@ from labdaemon.blur.patch.illumination import (
     illumination_coordinates,
     illumination_derivatives,
     paper_level,
+    render_illumination,
     ridge_matrix,
 )
-from labdaemon.blur.patch.pixels import FloatArray, NoiseModel
-from labdaemon.blur.settings import GLS
+from labdaemon.blur.patch.pixels import BoolArray, ComplexArray, FloatArray, NoiseModel
+from labdaemon.blur.settings import GLS, SOLVER
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.texture_map import half_plane_frequencies, texture_power, unmapped_power
-from labdaemon.blur.smear.fit_problem import FitProblem
+from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.spectra.render import to_single
+from labdaemon.blur.waveform import window_nodes
 from labdaemon.least_squares import scaled_inverse
 
 
@@ -70,16 +74,123 @@ def gls_refine(
     """
     if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
-    noise, planes, k = sharp.noise, problem.planes, len(solution.p)
-    weight = np.where(solution.weight > 0, 1 / np.maximum(noise.variance(solution.signal), 1e-12), 0.0)
-    level = paper_level(planes, solution.light)
     dark, by_p = model(solution.p)
-    columns = illumination_derivatives(planes, solution.light, dark, by_p)
+
+    def blur(fx: FloatArray, fy: FloatArray) -> FloatArray:
+        return closed_form.blurred_orbit_transfer(fx, fy, float(solution.p[2]), moment_px2)
+
+    motion = _TextureMotion(blur, np.sqrt(np.maximum(moment_px2[[0, 2]], 0.0)), solution.p[:2])
+    part = _FramePart(
+        problem.planes, problem.shape_count, solution.light, solution.signal, solution.weight > 0, dark, by_p
+    )
+    normal = _frame_equations(sharp, part, motion)
+    return _refine(solution, normal[:, :-1], normal[:, -1], prior)
+
+
+def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
+    """As `gls_refine`, of a target in several frames, each through its own window: normal equations add over frames.
+
+    Where the phase hardly shows the model is curved, and steps are repeated.
+
+    Parameters
+    ----------
+    frame_set
+        The target in its frames.
+    solution
+        A converged fit of all of them with independent weights.
+    transfer_factory
+        The kind of motion that was fitted.
+    """
+    sharp = frame_set.sharp
+    if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
+        return solution
+    for _ in range(GLS.frame_steps):
+        before = solution
+        solution = _step_frames(frame_set, before, transfer_factory)
+        step = np.abs(solution.p - before.p)
+        if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance))):
+            break
+        dark, _ = frame_set.forward_model(transfer_factory, _max_amplitude_px(frame_set, solution.p))(solution.p)
+        solution = replace(solution, signal=render_illumination(frame_set.planes, solution.light, dark))
+    return solution
+
+
+def _max_amplitude_px(frame_set: FrameSet, p: FloatArray) -> float:
+    return 3.0 + 1.3 * float(np.linalg.norm(p[frame_set.first_motion :]))
+
+
+def _step_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
+    """One step of `gls_refine_frames`."""
+    p, first = solution.p, frame_set.first_motion
+    max_amplitude_px = _max_amplitude_px(frame_set, p)
+    dark, by_p = frame_set.forward_model(transfer_factory, max_amplitude_px, exact=True)(p)
+    normal, pull = np.zeros((len(p), len(p))), np.zeros(len(p))
+    nuisance = FRAME_PARAMETERS * len(frame_set.problems)
+    for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
+        own = [*range(FRAME_PARAMETERS * index, FRAME_PARAMETERS * (index + 1)), *range(nuisance, len(p))]
+        rows = frame_set.rows(index)
+        part = _FramePart(
+            frame_set.planes_of(index),
+            problem.shape_count,
+            solution.light[rows],
+            solution.signal[rows],
+            solution.weight[rows] > 0,
+            dark[rows],
+            by_p[own][:, rows],
+        )
+        transfer = transfer_factory(*window_nodes(window, max_amplitude_px))
+        motion = _TextureMotion.through_window(transfer, p[own[:FRAME_PARAMETERS]], p[first:])
+        equations = _frame_equations(frame_set.sharp, part, motion)
+        normal[np.ix_(own, own)] += equations[:, :-1]
+        pull[own] += equations[:, -1]
+    return _refine(solution, normal, pull, frame_set.prior(len(p) - first))
+
+
+def _refine(solution: Solution, normal: FloatArray, pull: FloatArray, prior: Prior) -> Solution:
+    """The step of filtered normal equations, and their inverse as covariance."""
+    covariance = scaled_inverse(normal + prior.precision)
+    step = covariance @ (pull - prior.precision @ (solution.p - prior.mean))
+    light = solution.light - solution.light_jacobian @ step
+    return replace(solution, p=solution.p + step, light=light, covariance=covariance, correlated_noise=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FramePart:
+    """One frame's part of a fit.
+
+    Attributes
+    ----------
+    planes, shape_count
+        Its pixels, and the number of shape parameters.
+    light, signal, valid
+        (n, 4), (n, h, w) and (n, h, w) its rows of the solution, and where that has weight.
+    dark, by_p
+        (n, h, w) and (k, n, h, w) the model and its derivatives by x, y, extra blur, the shape and the motion.
+    """
+
+    planes: ColourPlanes
+    shape_count: int
+    light: FloatArray
+    signal: FloatArray
+    valid: BoolArray
+    dark: FloatArray
+    by_p: FloatArray
+
+
+def _frame_equations(sharp: SharpTarget, part: _FramePart, motion: _TextureMotion) -> FloatArray:
+    """(k, k + 1) filtered normal matrix of a frame, and its product with the residuals in the last column.
+
+    The frame's illumination, its curvature and the amplitudes of the mapped texture are eliminated.
+    """
+    noise, planes, k = sharp.noise, part.planes, len(part.by_p)
+    weight = np.where(part.valid, 1 / np.maximum(noise.variance(part.signal), 1e-12), 0.0)
+    level = merge_planes(planes, paper_level(planes, part.light))
+    columns = illumination_derivatives(planes, part.light, part.dark, part.by_p)
     root = merge_planes(planes, np.sqrt(weight))
-    signal = merge_planes(planes, solution.signal)
-    texture_noise = _TextureNoise.predict(sharp, planes, solution, moment_px2, signal, merge_planes(planes, level))
-    left = planes.values - solution.signal
-    extra = [solution.signal * bend for bend in _curvature_terms(planes)] + [
+    signal = merge_planes(planes, part.signal)
+    texture_noise = _TextureNoise.predict(sharp, planes, motion, signal, level)
+    left = planes.values - part.signal
+    extra = [part.signal * bend for bend in _curvature_terms(planes)] + [
         split_planes(planes, one) for one in texture_noise.predictions
     ]
     wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), to_single(np.stack((*extra, left)))))
@@ -87,25 +198,59 @@ def gls_refine(
     size = tuple(int(fft.next_fast_len(length + GLS.margin_px, real=True)) for length in root.shape)
     texture_amplitudes = texture_noise.texture_amplitudes(free[k + 3 : -1], free[-1], root)
     residual_spectrum = texture_noise.residual_spectrum(
-        texture_amplitudes, _unmapped_fraction(sharp, planes, free[3 + problem.shape_count : k], root), size
+        texture_amplitudes, _unmapped_fraction(sharp, planes, free[3 + part.shape_count : k], root), size
     )
     paper = root > 0
     ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
     keep = 1 / (1 + ratio * residual_spectrum)
     waves = fft.rfft2(free * to_single(root), s=size)
     normal = _filtered_products(waves[:-1], waves, keep, size)
-    count = len(free) - 1
-    precision, pull = np.zeros((count, count)), np.zeros(count)
-    precision[:k, :k] = prior.precision
-    pull[:k] = prior.precision @ (solution.p - prior.mean)
     expected = [(0.0, GLS.curvature_sd)] * 3 + [GLS.moving_prior, GLS.static_prior][: len(texture_noise.predictions)]
-    for index, (mean, sd) in enumerate(expected, start=k):
-        precision[index, index] = sd**-2
-        pull[index] = -mean * sd**-2
-    inverse = scaled_inverse(normal[:, :-1] + precision)
-    step = inverse @ (normal[:, -1] - pull)
-    light = solution.light - solution.light_jacobian @ step[:k]
-    return replace(solution, p=solution.p + step[:k], light=light, covariance=inverse[:k, :k], correlated_noise=True)
+    mean, sd = np.array(expected).T
+    normal[k:, k:-1] += np.diag(sd**-2)
+    normal[k:, -1] += mean * sd**-2
+    result: FloatArray = normal[:k, [*range(k), -1]]
+    return result - normal[:k, k:-1] @ scaled_inverse(normal[k:, k:-1]) @ normal[k:, [*range(k), -1]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TextureMotion:
+    """How the motion and the extra blur smear the paper texture of one frame.
+
+    Attributes
+    ----------
+    transfer
+        From fx (1, w) and fy (h, 1) to the transfer function.
+    reach_px
+        (2,) how far a point moves in x and y.
+    place_px
+        (2,) the place about which the target moves, frame coordinates.
+    """
+
+    transfer: Callable[[FloatArray, FloatArray], FloatArray | ComplexArray]
+    reach_px: FloatArray
+    place_px: FloatArray
+
+    @classmethod
+    def through_window(cls, transfer: TransferFunction, place: FloatArray, motion: FloatArray) -> _TextureMotion:
+        """Of a motion seen through a window.
+
+        Parameters
+        ----------
+        transfer
+            The motion's transfer function.
+        place
+            (3,) x, y, extra blur.
+        motion
+            Its parameters.
+        """
+
+        def blur(fx: FloatArray, fy: FloatArray) -> ComplexArray:
+            defocus = closed_form.gaussian_transfer(fx * fx + fy * fy, float(place[2]))
+            wide_x, wide_y = np.broadcast_arrays(fx, fy)
+            return np.asarray(transfer(wide_x, wide_y, motion)[0] * defocus, dtype=np.complex128)
+
+        return cls(blur, np.full(2, float(np.linalg.norm(motion))), place[:2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,34 +266,32 @@ class _TextureNoise:
         With the paper texture's strength and length.
     map_noise
         Noise of the map; infinite without one.
-    blur_px2, moment_px2
-        Extra blur and motion.
+    motion
+        What smears the texture that moves.
     """
 
     predictions: list[FloatArray]
     noise: NoiseModel
     map_noise: float
-    blur_px2: float
-    moment_px2: FloatArray
+    motion: _TextureMotion
 
     @classmethod
     def predict(
         cls,
         sharp: SharpTarget,
         planes: ColourPlanes,
-        solution: Solution,
-        moment_px2: FloatArray,
+        motion: _TextureMotion,
         signal: FloatArray,
         level: FloatArray,
     ) -> _TextureNoise:
-        p, paper = solution.p, sharp.texture_map
+        paper = sharp.texture_map
         if paper is None:
-            return cls([], sharp.noise, np.inf, float(p[2]), moment_px2)
+            return cls([], sharp.noise, np.inf, motion)
         origin = np.asarray(planes.origin_px)
         height, width = signal.shape
-        moved = paper.blur(float(p[2]), moment_px2, p[:2] - origin, (height, width))
+        moved = paper.blur(motion.transfer, motion.reach_px, motion.place_px - origin, (height, width))
         still = paper.shift(sharp.centre_px - origin, (height, width))
-        return cls([-level * moved, -signal * still], sharp.noise, paper.noise, float(p[2]), moment_px2)
+        return cls([-level * moved, -signal * still], sharp.noise, paper.noise, motion)
 
     def texture_amplitudes(self, predictions: FloatArray, left: FloatArray, root: FloatArray) -> tuple[float, float]:
         """Amplitudes of the texture that moves with the target and of the static one: least squares on the residuals.
@@ -186,7 +329,7 @@ class _TextureNoise:
         fx, fy = half_plane_frequencies(size)
         power = texture_power(self.noise, fx**2 + fy**2)
         left = unmapped_power(power, self.map_noise, fx, fy)
-        smear = closed_form.blurred_orbit_transfer(fx, fy, self.blur_px2, self.moment_px2)
+        smear = np.abs(self.motion.transfer(fx, fy))
         static_power = left + unmapped * (power - left)
         result: FloatArray = texture_amplitudes[0] ** 2 * left * smear**2 + texture_amplitudes[1] ** 2 * static_power
         return result

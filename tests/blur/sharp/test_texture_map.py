@@ -7,6 +7,7 @@ from scipy import ndimage
 from labdaemon.blur import Defocus, Dot, NoiseModel, Patch, fit_sharp, measure
 from labdaemon.blur.settings import TEXTURE_MAP
 from labdaemon.blur.sharp.texture_map import half_plane_frequencies, texture_power, unmapped_power
+from labdaemon.blur.spectra.closed_form import blurred_orbit_transfer
 
 SIZE, CENTRE, RADIUS = (130, 130), (64.2, 65.1), 12.0
 STILL = Defocus(0.0, 0.01)
@@ -55,7 +56,9 @@ def test_smeared_with_the_target_it_is_the_grain_of_the_smear(area):
     scene, a = scene_of(area), np.array([8.0, 3.0])
     sharp = sharp_of(area, scene)
     moment = np.array([a[0] ** 2, a[0] * a[1], a[1] ** 2])
-    smeared = sharp.texture_map.blur(0.0, moment, np.array(CENTRE), SIZE)
+    smeared = sharp.texture_map.blur(
+        lambda fx, fy: blurred_orbit_transfer(fx, fy, 0.0, moment), np.abs(a), np.array(CENTRE), SIZE
+    )
     true = estimate_texture(area, scene, area.whole_cycles(*a))
     paper = (around() > RADIUS + 13) & (around() < 45)
     assert np.std(true[paper] - smeared[paper]) < 0.65 * np.std(true[paper])
