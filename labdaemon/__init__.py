@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from labdaemon.imaging import RawFrame as RawFrame
     from labdaemon.stream.client import Client as Client
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "Client": "labdaemon.stream.client",
