@@ -9,6 +9,7 @@ part cycles). ``published`` holds the published method, to compare with.
 from labdaemon.blur.average import average_measurements
 from labdaemon.blur.fit.refit import failure_flags
 from labdaemon.blur.fit.static_target import measure_static
+from labdaemon.blur.fit.texture import measure_moment
 from labdaemon.blur.frame import measure_displacement, measure_frame
 from labdaemon.blur.group import measure_group
 from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
@@ -59,6 +60,7 @@ __all__ = [
     "measure_frame",
     "measure_group",
     "measure_mccarthy2016",
+    "measure_moment",
     "measure_static",
     "mirror_axes",
     "named_code",

@@ -11,9 +11,9 @@ import click
 
 from labdaemon.errors import UsageError
 
-ELSEWHERE = {name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock")} | {
-    "world": "labdaemon.bench.world.command:command"
-}
+ELSEWHERE = {
+    name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock", "textures")
+} | {"world": "labdaemon.bench.world.command:command"}
 """Subcommands defined in the benches' own modules; imported only when called."""
 
 

@@ -30,7 +30,6 @@ from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.gls import gls_refine
 from labdaemon.blur.smear.initial_parameters import initial_parameters
-from labdaemon.blur.smear.template_noise import correct_template_noise_bias
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
 from labdaemon.blur.solver.solve import gauss_newton_step, project_to_submodel, solve, warm_start
 from labdaemon.blur.spectra import closed_form
@@ -64,7 +63,7 @@ def fit_straight_fast(
     held = _is_plain(sharp) and not orbit_fit.is_thin and orbit.converged and at_rest
     prior = nuisance_prior(sharp, blur, 2)
     least_px2 = WHOLE_CYCLES.fixed_moment_px2 if held else WHOLE_CYCLES.min_moment_px2
-    start, step = _nearest_straight_path(orbit, k, least_px2)
+    start, step = nearest_straight_path(orbit, k, least_px2)
     if held:
         precision = prior.precision.copy()
         precision[3 + k :, 3 + k :] = np.eye(2) / WHOLE_CYCLES.fixed_moment_px2**2
@@ -79,8 +78,7 @@ def fit_straight_fast(
         best = solve(problem.planes, weights, model, start, prior, bound=clip_defocus, light=light)
     exact = fast_forward_model(problem, closed_form.straight_transfer, exact=True)
     ax, ay = best.p[3 + k :]
-    best = gls_refine(sharp, problem, best, exact, np.array([ax**2, ax * ay, ay**2]), prior)
-    return correct_template_noise_bias(sharp, problem, best, closed_form.straight_transfer)
+    return gls_refine(sharp, problem, best, exact, np.array([ax**2, ax * ay, ay**2]), prior)
 
 
 def _is_plain(sharp: SharpTarget) -> bool:
@@ -141,7 +139,7 @@ def _moment_jacobian(a: FloatArray, k: int) -> FloatArray:
     return result
 
 
-def _nearest_straight_path(orbit_fit: Solution, k: int, least_px2: float) -> tuple[FloatArray, FloatArray]:
+def nearest_straight_path(orbit_fit: Solution, k: int, least_px2: float) -> tuple[FloatArray, FloatArray]:
     """Straight path (x, y, extra variance, shape…, ax, ay) that an orbit's fit makes most likely, and the step to it.
 
     The cost is nearly quadratic in the second moment M, so that the best M = aaᵀ is found without the image.

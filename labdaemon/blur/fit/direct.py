@@ -25,7 +25,6 @@ from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.gls import gls_refine
 from labdaemon.blur.smear.initial_parameters import initial_parameters
-from labdaemon.blur.smear.template_noise import correct_template_noise_bias
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.spectra import closed_form
@@ -107,7 +106,7 @@ def fit_orbit(sharp: SharpTarget, problem: FitProblem, blur: Defocus, start: Flo
         # The prior must be weighed against the noise that the residuals show.
         weights = pixel_weights(sharp, problem.planes, noise_scale(sharp, best))
         best = solve(problem.planes, weights, model, best.p, prior, bound=bound, light=best.light)
-    return OrbitFit(correct_template_noise_bias(sharp, problem, best, closed_form.orbit_transfer))
+    return OrbitFit(best)
 
 
 def fit_straight(
@@ -123,8 +122,7 @@ def fit_straight(
     best = solve(problem.planes, weights, model, start, prior, bound=clip_defocus, light=orbit.light)
     exact = fast_forward_model(problem, closed_form.straight_transfer, exact=True)
     ax, ay = best.p[3 + k :]
-    best = gls_refine(sharp, problem, best, exact, np.array([ax**2, ax * ay, ay**2]), prior)
-    return correct_template_noise_bias(sharp, problem, best, closed_form.straight_transfer)
+    return gls_refine(sharp, problem, best, exact, np.array([ax**2, ax * ay, ay**2]), prior)
 
 
 def orbit_bounds(k: int) -> Callable[[FloatArray], FloatArray]:

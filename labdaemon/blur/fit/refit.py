@@ -15,6 +15,7 @@ from labdaemon.blur.patch.locate import find_blob
 from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.settings import REFIT
 from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.sharp.weights import pixel_weights
 from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem
@@ -81,7 +82,9 @@ def _largest_outlier_region(sharp: SharpTarget, problem: FitProblem, found: Meas
 
 def contrast_ratio(sharp: SharpTarget, problem: FitProblem, found: Measurement) -> float:
     """Fitted contrast over the sharp image's: about 1 where the textured patch is in the frame."""
-    return float(np.median(_modelled_image(sharp, problem, found)[2][:, 3]))
+    form = sharp.form
+    own = form.contrast if isinstance(form, TexturedPatch) else 1.0
+    return float(np.median(_modelled_image(sharp, problem, found)[2][:, 3])) / max(own, 1e-9)
 
 
 def _modelled_image(

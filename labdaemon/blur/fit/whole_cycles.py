@@ -6,10 +6,12 @@ import numpy as np
 
 from labdaemon.blur.fit.accelerated import ACCELERATED
 from labdaemon.blur.fit.direct import OrbitFit, SquaredAxes, WholeCycleFits
+from labdaemon.blur.fit.texture import measure_texture
 from labdaemon.blur.motion import Defocus, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.sharp.weights import nuisance_prior
 from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
@@ -54,6 +56,8 @@ def measure_whole_cycles(
     solution, k = orbit_fit.solution, problem.shape_count
     if solution.dof <= 0:  # all is masked, or is bright enough to have been at white level
         return empty_measurement(sharp.name, flags | {Flag.NOT_FOUND})
+    if isinstance(sharp.form, TexturedPatch):
+        return measure_texture(sharp, sharp.form, problem, blur, solution, orbit=orbit, flags=flags)
     covariance = robust_covariance(sharp, solution, problem.planes)
     axes = SquaredAxes.of_moment(solution.p[3 + k :], covariance[3 + k :, 3 + k :])
     if orbit and _shows_minor_axis(axes, solution, blur):

@@ -35,6 +35,10 @@ class TexturedPatch:
         (width, height) of the part to be measured, about that centre.
     frames
         Number of sharp frames in the mean.
+    spread_dn
+        Brightness, DN, of which `dark` is a part.
+    contrast
+        `spread_dn` over the brightness where `dark` is 0.
     """
 
     channel: NDArray[np.int64]
@@ -42,6 +46,8 @@ class TexturedPatch:
     centre_in_dark_px: FloatArray
     box_size_px: tuple[int, int]
     frames: int
+    spread_dn: float = 1.0
+    contrast: float = 1.0
 
     def spectra(self, grid: FrequencyGrid, channel: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
         """Discrete transform of the samples (the first one's for channels not in use).
@@ -123,15 +129,14 @@ def make_textured_patch(
     if left < 0 or top < 0 or left + box[2] > width or top + box[3] > height:
         raise UsageError(f"patch {box} does not lie inside the sharp frame")
     known = noise is not None
-    single = noise if noise is not None else estimate_noise([patch])
-    channels, dark, spread = _interpolate_channels(patch)
+    single = noise if noise is not None else estimate_noise([given[0]])
+    channels, dark, spread, bright = _interpolate_channels(patch)
     inside = (slice(top, top + box[3]), slice(left, left + box[2]))
     valid = patch.valid[inside] & np.isfinite(patch.values[inside])
     variance = (
         float(np.mean(single.variance(patch.values[inside][valid]))) / max(spread, 1e-9) ** 2 if valid.any() else np.inf
     )
-    if known:
-        variance /= count
+    variance /= count
     flags: set[Flag] = set()
     contrast = float(np.std(dark[:, inside[0], inside[1]]))
     if np.count_nonzero(valid) < 0.5 * valid.size or not contrast**2 > 4 * variance or spread <= 0:
@@ -140,14 +145,14 @@ def make_textured_patch(
             flags.add(Flag.SATURATED)
     in_dark = np.array([left + (box[2] - 1) / 2, top + (box[3] - 1) / 2])
     centre = in_dark + np.asarray(patch.origin_px)
-    form = TexturedPatch(channels, dark, in_dark, (box[2], box[3]), count if known else 1)
+    form = TexturedPatch(channels, dark, in_dark, (box[2], box[3]), count, spread, spread / max(bright, 1e-9))
     return SharpTarget(
         name, centre, np.zeros((2, 2)), form, {int(c): 1.0 for c in channels}, single, known, flags=frozenset(flags)
     )
 
 
-def _interpolate_channels(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, float]:
-    """The channels in use, each one's darkness at every pixel, and the brightness range that it is scaled by.
+def _interpolate_channels(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, float, float]:
+    """The channels in use, each one's darkness at every pixel, the brightness range that it is scaled by, and its top.
 
     On a Bayer sensor the two greens are used: they see through the same colour and so the same lens blur, and together
     they sample finely enough to be interpolated.
@@ -156,15 +161,16 @@ def _interpolate_channels(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, 
     channels = _select_greens(patch, good)
     use = np.isin(patch.channel, channels)
     scaled = np.zeros(patch.shape)
-    spreads = []
+    spreads, tops = [], []
     for c in channels:
         here = patch.channel == c
         sample = patch.values[here & good]
         low, high = np.percentile(sample, (1, 99)) if sample.size else (0.0, 1.0)
         spreads.append(max(float(high - low), 0.0))
+        tops.append(float(high))
         scaled[here] = ((high - np.where(good, patch.values, high)) / max(high - low, 1e-9))[here]
     if len(channels) == 1:
-        return channels, _fill_gaps(scaled, good)[None], spreads[0]
+        return channels, _fill_gaps(scaled, good)[None], spreads[0], tops[0]
     neighbours = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4.0
     for _ in range(3):  # the greens may differ a little in gain and offset
         around = ndimage.convolve(np.where(use, scaled, 0.0), neighbours, mode="nearest")
@@ -178,6 +184,7 @@ def _interpolate_channels(patch: Patch) -> tuple[NDArray[np.int64], FloatArray, 
         channels,
         np.repeat(_interpolate_checkerboard(scaled, use & good)[None], len(channels), axis=0),
         float(np.mean(spreads)),
+        float(np.mean(tops)),
     )
 
 

@@ -21,6 +21,11 @@ the change of scale with depth (`SharpTarget.with_scale_uncertainty`). Then, in 
 7. *An occluder's edge*: the result with two margins differs, and the difference counts as an error
    (`fit.occlusion`). Reason: an occluder's soft edge has no model.
 
+8. *Noise of a textured patch's sharp frame* is in the image's derivatives as well as in the residuals. For whole cycles
+   `smear.errors_in_variables` replaces steps 1 and 2: the noise's share is subtracted from the information, and the
+   products of both noises are added to the variance of the score. Along a direction without texture the sd is half the
+   box (flag `undetermined`).
+
 A group of whole-cycle frames is a weighted mean with the covariance of its members (`group`). Orientation and survey
 enter later, in ``geometry``.
 """

@@ -96,6 +96,24 @@ def orbit_transfer(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[
     return j0, squares
 
 
+def bounded_orbit_transfer(fx: FloatArray, fy: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`orbit_transfer` with another continuation where fᵀMf is negative: 1 + u/(1 + u), u = π²|fᵀMf|.
+
+    Value and slope at rest are the same. I0 grows without limit, and amplifies the noise of a sampled target at
+    frequencies where the target has no texture.
+    """
+    squares = np.stack((fx * fx, 2 * fx * fy, fy * fy))
+    m0, m1, m2 = (float(m) for m in moment)
+    quadratic = m0 * squares[0] + m1 * squares[1] + m2 * squares[2]
+    z = 2 * np.pi * np.sqrt(np.maximum(quadratic, 0))
+    j0, j1 = j0_j1(z)
+    u = np.pi**2 * np.maximum(-quadratic, 0)
+    transfer = np.where(quadratic < 0, 1 + u / (1 + u), j0)
+    ratio = np.divide(j1, z, out=np.full_like(z, 0.5), where=z > 1e-4)
+    slope = np.where(quadratic < 0, -(np.pi**2) / (1 + u) ** 2, -2 * np.pi**2 * ratio)
+    return transfer.astype(fx.dtype), (squares * slope).astype(fx.dtype)
+
+
 def straight_transfer(fx: FloatArray, fy: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Transfer function J0(2π f·a) of a straight sinusoid over whole cycles, and its derivatives by ax and ay."""
     z = float(2 * np.pi * a[0]) * fx + float(2 * np.pi * a[1]) * fy

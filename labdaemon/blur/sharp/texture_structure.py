@@ -1,0 +1,71 @@
+"""The directions in which a texture can show motion (the aperture problem).
+
+Motion along u shows by the gradient of the noise-free texture along u. The structure tensor, the mean of ∇T∇Tᵀ, has
+the noise's gradient in it as well; that share is known from the noise and is subtracted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
+from labdaemon.blur.texture_settings import TEXTURE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextureStructure:
+    """Squared gradient of a texture along its principal directions, noise subtracted.
+
+    Attributes
+    ----------
+    across, along
+        (2,) unit vectors of most and of least structure.
+    shows_across, shows_along
+        Whether the structure in that direction is distinct from noise.
+    """
+
+    across: FloatArray
+    along: FloatArray
+    shows_across: bool
+    shows_along: bool
+
+
+def texture_structure(form: TexturedPatch, noise_variance: float) -> TextureStructure:
+    """Structure of the box.
+
+    Parameters
+    ----------
+    form
+        The sharp patch.
+    noise_variance
+        Of `form.dark`, white.
+    """
+    dark = form.dark.mean(axis=0)
+    gradient = np.stack([_smooth_derivative(dark, axis) for axis in (1, 0)])
+    width, height = form.box_size_px
+    left, top = (int(v) for v in np.rint(form.centre_in_dark_px - (np.array([width, height]) - 1) / 2))
+    inside = gradient[:, max(top, 0) : top + height, max(left, 0) : left + width].reshape(2, -1)
+    inside = inside - inside.mean(axis=1, keepdims=True)  # a gradient of the light is no texture
+    tensor = inside @ inside.T / inside.shape[1]
+    impulse = np.zeros((31, 31))
+    impulse[15, 15] = 1.0
+    share = noise_variance * float(np.sum(_smooth_derivative(impulse, 1) ** 2))
+    values, vectors = np.linalg.eigh(tensor)
+    # Smoothing correlates the noise over 4πσ² pixels. The scatter is that of noise squared, and of noise times signal.
+    independent = max(inside.shape[1] / (4 * np.pi * TEXTURE.smoothing_px**2), 1.0)
+    clear = values - share
+    scatter = np.sqrt((2 * share**2 + 4 * share * np.maximum(clear, 0)) / independent)
+    least = np.maximum(TEXTURE.structure_sds * scatter, TEXTURE.min_relative_gradient**2 * values[1])
+    shows = clear > least
+    return TextureStructure(vectors[:, 1], vectors[:, 0], bool(shows[1]), bool(shows[0]))
+
+
+def _smooth_derivative(image: FloatArray, axis: int) -> FloatArray:
+    order = [0, 0]
+    order[axis] = 1
+    result: FloatArray = ndimage.gaussian_filter(image, TEXTURE.smoothing_px, order=order, mode="nearest")
+    return result

@@ -1,0 +1,109 @@
+"""Textured patches: what a texture shows is measured within its sd, and what it does not is flagged."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from labdaemon.bench.textures import moved, random_texture, run_texture_trials
+from labdaemon.blur import Patch, make_textured_patch, measure
+from labdaemon.flags import Flag
+
+BOX = (35, 35, 60, 60)
+
+
+def grey(values):
+    return Patch(values, np.zeros(values.shape, np.uint8), np.ones(values.shape, bool), (0, 0))
+
+
+def shoot(rng, image, noise=1.0):
+    return grey(128 + image + rng.normal(0, noise, image.shape))
+
+
+def stripes(angle, shift, period=6.0):
+    yy, xx = np.mgrid[:130, :130]
+    return 80 * np.tanh(3 * np.sin((xx * -np.sin(angle) + yy * np.cos(angle) - shift) / period))
+
+
+@pytest.mark.parametrize(("angle", "across_px", "frames"), [(0.0, 0.0, 1), (0.0, 2.0, 1), (0.7, 0.0, 8), (2.2, 2.0, 8)])
+def test_motion_along_stripes_is_undetermined(angle, across_px, frames):
+    rng = np.random.default_rng(int(10 * angle) + frames)
+    steps = across_px * np.sin(2 * np.pi * (np.arange(64) + 0.5) / 64)
+    image = np.mean([stripes(angle, s) for s in steps], axis=0)
+    target = make_textured_patch([shoot(rng, stripes(angle, 0.0)) for _ in range(frames)], BOX)
+    found = measure(target, shoot(rng, image))
+    across, along = np.array([-np.sin(angle), np.cos(angle)]), np.array([np.cos(angle), np.sin(angle)])
+    assert Flag.UNDETERMINED in found.flags
+    covariance = found.covariance_px2[2:4, 2:4]
+    assert abs(found.a_px @ along) < 0.1
+    assert np.sqrt(along @ covariance @ along) > 10
+    assert abs(abs(found.a_px @ across) - across_px) < 4 * np.sqrt(across @ covariance @ across) + 0.02
+    assert np.sqrt(across @ covariance @ across) < 0.5
+
+
+def test_stripes_with_some_structure_along_them_are_determined():
+    rng = np.random.default_rng(3)
+    texture = stripes(0.4, 0.0)[:130, :130] + 15 * random_texture(rng, 130, 2.0)
+    target = make_textured_patch([shoot(rng, texture) for _ in range(4)], BOX)
+    found = measure(target, shoot(rng, moved(texture, np.array([1.2, 0.9]))))
+    assert Flag.UNDETERMINED not in found.flags
+    sd = np.sqrt(np.diag(found.covariance_px2)[2:4])
+    assert np.all(np.abs(found.a_px - (1.2, 0.9)) < 4 * sd + 0.02)
+
+
+def test_a_surface_without_texture_is_not_found():
+    rng = np.random.default_rng(4)
+    blank = np.zeros((130, 130))
+    found = measure(make_textured_patch(shoot(rng, blank), BOX), shoot(rng, blank))
+    assert Flag.NOT_FOUND in found.flags
+    assert np.isnan(found.a_px).all()
+
+
+@pytest.mark.parametrize(("other_px", "share"), [(0.0, 0.33), (1.5, 0.5)])
+def test_two_motions_in_one_box_are_flagged(other_px, share):
+    rng = np.random.default_rng(11)
+    one, two = (30 * random_texture(rng, 130, 2.0) for _ in range(2))
+    border = 35 + int(60 * (1 - share))
+    left = np.arange(130)[None, :] < border
+    direction = np.array([np.cos(0.3), np.sin(0.3)])
+    target = make_textured_patch([shoot(rng, np.where(left, one, two)) for _ in range(2)], BOX)
+    image = np.where(left, moved(one, 3.0 * direction), moved(two, other_px * direction))
+    assert Flag.MIXED_MOTION in measure(target, shoot(rng, image)).flags
+
+
+def test_a_motion_that_varies_slightly_over_the_box_is_not_called_two():
+    rng = np.random.default_rng(12)
+    texture = 30 * random_texture(rng, 130, 2.0)
+    slow, fast = moved(texture, np.array([1.9, 0.0])), moved(texture, np.array([2.1, 0.0]))
+    part = np.linspace(0, 1, 130)[:, None]
+    found = measure(make_textured_patch(shoot(rng, texture), BOX), shoot(rng, slow * (1 - part) + fast * part))
+    assert not found.flags
+    assert abs(np.hypot(*found.a_px) - 2.0) < 0.05
+
+
+def test_a_low_contrast_texture_is_measured():
+    rng = np.random.default_rng(5)
+    texture = 5 * random_texture(rng, 130, 2.0)
+    found = measure(
+        make_textured_patch(shoot(rng, texture, 0.5), BOX), shoot(rng, moved(texture, np.array([2.0, 1.0])), 0.5)
+    )
+    assert not found.flags
+    assert np.all(np.abs(found.a_px - (2.0, 1.0)) < 4 * np.sqrt(np.diag(found.covariance_px2)[2:4]))
+
+
+def test_a_lamp_at_half_its_brightness_does_not_matter():
+    rng = np.random.default_rng(6)
+    texture = ndimage.gaussian_filter(rng.normal(size=(130, 130)), 2.0, mode="wrap")
+    texture *= 30 / texture.std()
+    dim = grey(64 + 0.5 * moved(texture, np.array([1.5, 0.0])) + rng.normal(0, 1, texture.shape))
+    found = measure(make_textured_patch(shoot(rng, texture), BOX), dim)
+    assert not found.flags
+    assert np.all(np.abs(found.a_px - (1.5, 0.0)) < 4 * np.sqrt(np.diag(found.covariance_px2)[2:4]))
+
+
+def test_rest_and_motion_agree_with_their_sd_on_a_sample_of_the_bench():
+    rest = run_texture_trials(0.0, 12, seed=2)
+    assert rest.false_motions == 0
+    assert 0.6 < rest.pull < 1.5
+    motion = run_texture_trials(1.0, 12, seed=3)
+    assert 0.6 < motion.pull < 1.5
+    assert motion.flagged <= 3
