@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from labdaemon.blur import Patch, make_textured_patch, measure, measure_moment
+from labdaemon.blur import Patch, make_textured_patch, measure_frame, measure_moment
 from labdaemon.flags import Flag
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +77,7 @@ def run_texture_trials(amplitude_px: float, count: int, seed: int = 1) -> Textur
         image = moved(texture, amplitude_px * np.array([np.cos(angle), np.sin(angle)])) if amplitude_px else texture
         sharp = [_shoot(rng, texture, noise) for _ in range(frames)]
         blurred = _shoot(rng, image, noise)
-        found = measure(make_textured_patch(sharp, BOX), blurred)
+        (found,) = measure_frame([make_textured_patch(sharp, BOX)], [blurred])
         flagged += bool(found.flags)
         if amplitude_px == 0:
             false_motions += not found.flags & {Flag.AT_REST, Flag.NOT_FOUND}
