@@ -89,11 +89,11 @@ def test_a_pipe_is_read_and_one_that_says_nothing_is_given_up(tmp_path: Path, mo
     keep = os.open(fifo, os.O_RDWR)  # a writer that says nothing
     with pytest.raises(ConfigError, match="nothing came"):
         read_toml(fifo)
+    os.close(keep)
     monkeypatch.setattr("labdaemon.tomlfile.PIPE_S", 20.0)
 
     def write() -> None:
-        with fifo.open("w") as file:
-            os.close(keep)
+        with fifo.open("w") as file:  # waits until there is a reader
             file.write("x = 1\n")
 
     writer = threading.Thread(target=write)

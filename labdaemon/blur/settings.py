@@ -173,6 +173,7 @@ class GlsSettings:
     """Mean squared residual above which better weights do not help: the residuals are not noise. Trial."""
     frame_steps: int = 4
     """Most steps for frames through known windows, which are nearly linear but for the phase. Numerics."""
+    max_step_sd: float = 30.0  # distance from the unrefined solution beyond which that is kept; trial
     margin_px: int = 8
     """Zeros around the filtered images, against wrap-around. Numerics."""
 
@@ -227,8 +228,7 @@ class PhaseSettings:
     """Local minima of the phase profile that are refined. Trial."""
     coded_minima: int = 5
     """The same under coded light, of which the minima are narrower than the phases tried. Trial."""
-    code_axes: int = 3
-    """Axes about which a code most resembles its mirror image, each tried as a twin. Trial."""
+    code_axes: int = 3  # axes about which a code most resembles its mirror image, each tried as a twin; trial
     max_extra_cost: float = 60.0
     """Cost above the best from which a minimum is not refined. Statistics: its odds are e⁻³⁰."""
     followed_starts: int = 4

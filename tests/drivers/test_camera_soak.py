@@ -56,11 +56,11 @@ def test_no_file_is_lost_doubled_or_torn(rig, make_camera, tmp_path, seed):
     contents = {}
     add = body.card.add
 
-    def remember(content, captured_at=None):
+    def remember(content, captured_at=None, **more):
         unique = content + rng.randbytes(rng.choice([0, 1, 400, 5000, 1_200_000]))
         # Noted first: once on the card, it may be fetched and deleted before anything else is done here.
         contents[f"DSC_{len(contents) + 1:04d}.DNG"] = unique
-        return add(unique, captured_at)
+        return add(unique, captured_at, **more)
 
     body.card.add = remember
     collector = Collector(make_camera(timeout_s=0.25), tmp_path)

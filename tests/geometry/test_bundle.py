@@ -94,7 +94,7 @@ def test_camcal_gives_the_published_exteriors_and_points(camcal: Network, shared
     lines = (shared_data / "camcal/camcal-dbatreport.txt").read_text().splitlines()
     first = next(i for i, line in enumerate(lines) if "Photo 1:" in line)
     values = [float(line.split()[1]) for line in lines[first : first + 19] if "Value" in line]
-    deviations = [float(line.split()[1]) for line in lines[first : first + 19] if "Standard deviation" in line]
+    deviations = [float(line.split()[1]) for line in lines[first : first + 19] if "Deviation" in line]
     np.testing.assert_allclose(result.network.poses[0].position, values[3:], atol=0.6e-6)
     start = result.interior_count
     sd = np.sqrt(np.diag(result.cofactor))[start + 3 : start + 6] * result.sigma0

@@ -102,11 +102,17 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
         The kind of motion that was fitted.
     """
     sharp = frame_set.sharp
-    if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
+    # A single frame under constant light does not show its phase: at the turning points of the phase the model has no
+    # slope, and an undamped step has no bound.
+    if not frame_set.shows_phase or not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
+    unrefined = solution
     for _ in range(GLS.frame_steps):
         before = solution
         solution = _step_frames(frame_set, before, transfer_factory)
+        away = np.abs(solution.p - unrefined.p)
+        if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance)))):
+            return unrefined
         step = np.abs(solution.p - before.p)
         if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance))):
             break
