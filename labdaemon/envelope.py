@@ -8,15 +8,16 @@ a is the major semi-axis of the orbit and b the minor one. Object space is right
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
+from labdaemon.named_sequence import NamedSequence
 from labdaemon.orbit_size import semi_major_axis
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ class TargetEnvelope:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Envelope(Sequence[TargetEnvelope]):
+class Envelope(NamedSequence[TargetEnvelope]):
     """The motion of all targets in one capture (or one group of captures); a sequence of `TargetEnvelope`.
 
     Attributes
@@ -135,32 +136,14 @@ class Envelope(Sequence[TargetEnvelope]):
     exposure_s: float | None = None
     opened_at: str | None = None
 
-    def __len__(self) -> int:
-        return len(self.targets)
+    def _elements(self) -> tuple[TargetEnvelope, ...]:
+        return self.targets
 
-    @overload
-    def __getitem__(self, index: int | str) -> TargetEnvelope: ...
+    def _name_of(self, element: TargetEnvelope) -> str:
+        return element.target
 
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[TargetEnvelope]: ...
-
-    def __getitem__(self, index: int | str | slice) -> TargetEnvelope | Sequence[TargetEnvelope]:
-        """By position, or by the name of a target.
-
-        Raises
-        ------
-        KeyError
-            There is no target of that name.
-        """
-        if isinstance(index, str):
-            for one in self.targets:
-                if one.target == index:
-                    return one
-            raise KeyError(f"no target {index!r} in capture {self.capture}")
-        return self.targets[index]
-
-    def __iter__(self) -> Iterator[TargetEnvelope]:
-        return iter(self.targets)
+    def _missing(self, name: str) -> str:
+        return f"no target {name!r} in capture {self.capture}"
 
     def __repr__(self) -> str:
         clean = [one for one in self.targets if not one.flags and math.isfinite(one.amplitude_mm)]

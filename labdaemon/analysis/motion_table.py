@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labdaemon.blur import Measurement
 from labdaemon.errors import UsageError
+from labdaemon.named_sequence import NamedSequence
 from labdaemon.processing import MEASUREMENT_COLUMNS, Row, csv_text, measurement_row
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionTable(Sequence[Measurement]):
+class MotionTable(NamedSequence[Measurement]):
     """The motion of all targets in one image (or one group of images), in pixels.
 
     Attributes
@@ -32,32 +32,14 @@ class MotionTable(Sequence[Measurement]):
     name: str
     measurements: tuple[Measurement, ...]
 
-    def __len__(self) -> int:
-        return len(self.measurements)
+    def _elements(self) -> tuple[Measurement, ...]:
+        return self.measurements
 
-    @overload
-    def __getitem__(self, index: int | str) -> Measurement: ...
+    def _name_of(self, element: Measurement) -> str:
+        return element.target
 
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Measurement]: ...
-
-    def __getitem__(self, index: int | str | slice) -> Measurement | Sequence[Measurement]:
-        """By position, or by the name of a target.
-
-        Raises
-        ------
-        KeyError
-            There is no target of that name.
-        """
-        if isinstance(index, str):
-            for one in self.measurements:
-                if one.target == index:
-                    return one
-            raise KeyError(f"no target {index!r} in {self.name}")
-        return self.measurements[index]
-
-    def __iter__(self) -> Iterator[Measurement]:
-        return iter(self.measurements)
+    def _missing(self, name: str) -> str:
+        return f"no target {name!r} in {self.name}"
 
     def __repr__(self) -> str:
         clean = [one for one in self.measurements if not one.flags and math.isfinite(one.amplitude_px)]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 from labdaemon.envelope import Envelope, TargetEnvelope
 from labdaemon.errors import UsageError
+from labdaemon.named_sequence import NamedSequence
 from labdaemon.processing import open_folder, process_folder
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProcessedFolder(Sequence[Envelope]):
+class ProcessedFolder(NamedSequence[Envelope]):
     """Envelopes of a data-set folder; a sequence of `Envelope`, one per capture or group.
 
     Attributes
@@ -33,32 +34,14 @@ class ProcessedFolder(Sequence[Envelope]):
     envelopes: tuple[Envelope, ...]
     notes: tuple[str, ...] = ()
 
-    def __len__(self) -> int:
-        return len(self.envelopes)
+    def _elements(self) -> tuple[Envelope, ...]:
+        return self.envelopes
 
-    @overload
-    def __getitem__(self, index: int | str) -> Envelope: ...
+    def _name_of(self, element: Envelope) -> str:
+        return element.capture
 
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Envelope]: ...
-
-    def __getitem__(self, index: int | str | slice) -> Envelope | Sequence[Envelope]:
-        """By position, or by the name of a capture.
-
-        Raises
-        ------
-        KeyError
-            There is no capture of that name.
-        """
-        if isinstance(index, str):
-            for one in self.envelopes:
-                if one.capture == index:
-                    return one
-            raise KeyError(f"no capture {index!r}")
-        return self.envelopes[index]
-
-    def __iter__(self) -> Iterator[Envelope]:
-        return iter(self.envelopes)
+    def _missing(self, name: str) -> str:
+        return f"no capture {name!r}"
 
     def __repr__(self) -> str:
         return f"<ProcessedFolder {self.out}: {len(self)} envelopes>"
