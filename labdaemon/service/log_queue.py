@@ -30,6 +30,8 @@ class LogQueueHandler(logging.Handler):
         Writes one record; it may wait, and what it raises is counted as a dropped record.
     capacity
         Records that may wait.
+    close_writer
+        Gives back what `write` holds; called on the same thread after the last record.
 
     Attributes
     ----------
@@ -37,9 +39,15 @@ class LogQueueHandler(logging.Handler):
         Records that were never written.
     """
 
-    def __init__(self, write: Callable[[logging.LogRecord], None], capacity: int = QUEUE_RECORDS) -> None:
+    def __init__(
+        self,
+        write: Callable[[logging.LogRecord], None],
+        capacity: int = QUEUE_RECORDS,
+        close_writer: Callable[[], None] | None = None,
+    ) -> None:
         super().__init__()
         self._write = write
+        self._close_writer = close_writer
         self._queue: queue.Queue[logging.LogRecord | None] = queue.Queue(capacity)
         self._idle = threading.Event()
         self.dropped = 0
@@ -82,6 +90,8 @@ class LogQueueHandler(logging.Handler):
             if self.dropped > self._reported and self._queue.empty():
                 self._report_dropped()
             self._queue.task_done()
+        if self._close_writer is not None:
+            self._close_writer()
         self._queue.task_done()
         self._idle.set()
 

@@ -11,7 +11,6 @@ import os
 import socket
 import sys
 import threading
-from collections.abc import Callable
 from datetime import UTC, datetime
 
 from labdaemon.clock import rfc3339
@@ -134,6 +133,9 @@ class StreamWriter:
         while data:
             data = data[os.write(self._descriptor, data) :]
 
+    def close(self) -> None:
+        """Leave the descriptor open: it is the process's own."""
+
 
 def set_up_logs(level: int = logging.INFO) -> None:
     """Send the log of the daemon and of its libraries to where it is read.
@@ -143,7 +145,8 @@ def set_up_logs(level: int = logging.INFO) -> None:
     root = logging.getLogger()
     for handler in root.handlers:
         handler.close()
-    root.handlers[:] = [LogQueueHandler(_writer())]
+    writer = _writer()
+    root.handlers[:] = [LogQueueHandler(writer, close_writer=writer.close)]
     logging.getLogger("labdaemon").setLevel(level)
     logging.captureWarnings(True)
     threading.excepthook = _log_thread_end
@@ -155,7 +158,7 @@ def _log_thread_end(ended: threading.ExceptHookArgs) -> None:
         logging.getLogger(__name__).error("thread %s ended", name, exc_info=ended.exc_value)
 
 
-def _writer() -> Callable[[logging.LogRecord], None]:
+def _writer() -> JournalWriter | StreamWriter:
     if os.environ.get("JOURNAL_STREAM") and os.path.exists(JOURNAL_SOCKET):
         try:
             return JournalWriter()

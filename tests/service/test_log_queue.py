@@ -79,15 +79,17 @@ def test_a_full_journal_socket_holds_up_nothing(tmp_path: Path):
     address = str(tmp_path / "socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
         journal.bind(address)
-        handler = LogQueueHandler(JournalWriter(address), capacity=10)
+        writer = JournalWriter(address)
+        handler = LogQueueHandler(writer, capacity=10, close_writer=writer.close)
         for number in range(5000):
             handler.handle(record("record %d", number))
         assert handler.dropped > 0
         journal.settimeout(10)
         heard = ""
-        while "were dropped" not in heard:
+        while f"({handler.dropped} in all)" not in heard:  # the last report: nothing is queued any more
             heard = journal.recv(65536).decode()
         handler.close()
+        assert writer._socket.fileno() == -1  # the thread gave its socket back
 
 
 def test_a_writer_that_fails_costs_its_record_only():
