@@ -10,7 +10,7 @@ from typing import Any
 from labdaemon.errors import LabdaemonError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
-from labdaemon.stream.commands import Handler
+from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.messages import WrongStateError
 
 PATIENCE_S = 20.0

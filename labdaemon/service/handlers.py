@@ -13,7 +13,7 @@ from labdaemon.off_loop import off_loop
 from labdaemon.service.capture_parameters import capture_request
 from labdaemon.service.command_parameters import CommandParameters
 from labdaemon.service.openrpc import openrpc_document
-from labdaemon.stream.commands import Handler
+from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.publisher import latest, replay
 from labdaemon.tomlfile import MAX_BYTES
 

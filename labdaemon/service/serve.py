@@ -37,7 +37,7 @@ from labdaemon.service.startup import ExposureSteps, StartupSequence
 from labdaemon.service.status import status_of
 from labdaemon.service.supervise import as_failure, supervise
 from labdaemon.service.watchdog import notify
-from labdaemon.stream.commands import Handler
+from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.publisher import EventPublisher, latest, replay
 
 log = logging.getLogger(__name__)

@@ -25,7 +25,7 @@ from labdaemon.journal.journal import Journal
 from labdaemon.journal.storage import JournalError
 from labdaemon.off_loop import off_loop
 from labdaemon.service.devices import CONNECT_S
-from labdaemon.stream.commands import Handler
+from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.messages import WrongStateError
 
 T = TypeVar("T")

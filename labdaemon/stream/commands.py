@@ -10,65 +10,34 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Coroutine, Mapping
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import zmq
 import zmq.asyncio
 
-from labdaemon.errors import ConfigError, DeviceError, LabdaemonError, RestUnconfirmed
 from labdaemon.off_loop import off_loop
 from labdaemon.stream import messages
-from labdaemon.stream.messages import BadRequestError, InvalidParamsError, RpcRequest
+from labdaemon.stream.dispatcher import CommandDispatcher, Handler, RequestStore
+from labdaemon.stream.messages import BadRequestError, RpcRequest
 from labdaemon.stream.peer_gate import PeerGate
+from labdaemon.stream.roles import Role
 from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
-from labdaemon.stream.text_limits import INLINE_BYTES, bounded_text
+from labdaemon.stream.text_limits import INLINE_BYTES
 from labdaemon.stream.unread_answers import LARGE_BYTES, UnreadAnswers
-
-Handler = Callable[[dict[str, Any]], Awaitable[Any]]
-"""Takes the params, returns the result, raises a `LabdaemonError`."""
 
 ReturnRoute = tuple[bytes, ...]
 """Frames that an answer begins with: the client's identity, and a REQ's delimiter."""
 
-IDEMPOTENT = frozenset({"campaign.submit", "capture"})
-"""Commands that take a ``request_id``."""
 ALWAYS = frozenset({"stop"})
 LARGE = frozenset({"events.replay", "events.latest"})
 """Commands whose answers may be megabytes."""
 MAX_IN_PROGRESS = 64
 MAX_OF_ONE = 16
-COMMAND_S = 600.0
-"""No command takes longer; one that does has lost what it waited for, and gives its place back."""
 TOO_MANY = "too many commands at once; try again"
 
 log = logging.getLogger(__name__)
-
-
-class RequestStore(Protocol):
-    """Answers by ``request_id``, kept over restarts."""
-
-    def answer(self, request_id: str) -> Any | None:
-        """The result that this request had, None if it was never done."""
-        ...
-
-    def keep(self, request_id: str, result: Any) -> None:
-        """Remember it. Does nothing if it is known already."""
-        ...
-
-
-class MemoryRequests:
-    """A `RequestStore` that lasts as long as the process."""
-
-    def __init__(self) -> None:
-        self._results: dict[str, Any] = {}
-
-    def answer(self, request_id: str) -> Any | None:
-        return self._results.get(request_id)
-
-    def keep(self, request_id: str, result: Any) -> None:
-        self._results.setdefault(request_id, result)
 
 
 class CommandServer:
@@ -82,13 +51,16 @@ class CommandServer:
         What is done for each method.
     requests
         Where answers are kept for requests that come again.
+
+    Attributes
+    ----------
+    dispatcher
+        Carries out requests; other ways in use it as well.
     """
 
     def __init__(self, address: str, handlers: Mapping[str, Handler], requests: RequestStore | None = None) -> None:
         self.address = address
-        self._handlers = dict(handlers)
-        self._requests = requests or MemoryRequests()
-        self._in_progress: dict[str, asyncio.Future[Any]] = {}
+        self.dispatcher = CommandDispatcher(handlers, requests)
         self._tasks: set[asyncio.Task[None]] = set()
         self._of_client: Counter[bytes] = Counter()
         self._large: set[asyncio.Task[None]] = set()
@@ -193,7 +165,7 @@ class CommandServer:
 
     async def _answer(self, route: ReturnRoute, request: RpcRequest) -> None:
         if request.method not in LARGE:
-            await self._reply_to(route, request, await self._outcome(request))
+            await self._reply_to(route, request, await self.dispatcher.answer(request, Role.OPERATOR))
             return
         while True:
             if not await self._unread.wait_for_room(route[0]):
@@ -202,7 +174,7 @@ class CommandServer:
                 return
             async with self._turn:
                 if self._unread.has_room(route[0]):  # another answer of this client may have taken it meanwhile
-                    await self._reply_to(route, request, await self._outcome(request))
+                    await self._reply_to(route, request, await self.dispatcher.answer(request, Role.OPERATOR))
                     return
 
     async def _reply_to(self, route: ReturnRoute, request: RpcRequest, answer: bytes) -> None:
@@ -224,61 +196,3 @@ class CommandServer:
         if self._socket is None:
             raise RuntimeError("bind comes before run")
         return self._socket
-
-    async def _outcome(self, request: RpcRequest) -> bytes:
-        """The answer, whatever happens: no kind of exception may leave a client without one."""
-        try:
-            async with asyncio.timeout(COMMAND_S):
-                return messages.result_bytes(await self._do(request), request.id)
-        except LabdaemonError as exc:
-            return messages.error_bytes(messages.code_of(exc), bounded_text(exc, 2000), request.id, **_details(exc))
-        except UnknownMethod:
-            text = f"no method {bounded_text(request.method, 80)!r}"
-            return messages.error_bytes(messages.METHOD_NOT_FOUND, text, request.id)
-        except BaseException as exc:
-            task = asyncio.current_task()
-            if isinstance(exc, asyncio.CancelledError) and task is not None and task.cancelling():
-                raise  # the daemon ends
-            log.error("command %s failed", request.method, exc_info=exc)
-            return messages.error_bytes(messages.INTERNAL_ERROR, "the daemon failed; see its log", request.id)
-
-    async def _do(self, request: RpcRequest) -> Any:
-        handler = self._handlers.get(request.method)
-        if handler is None:
-            raise UnknownMethod
-        request_id = request.params.get("request_id")
-        if request.method not in IDEMPOTENT or request_id is None:
-            return await handler(request.params)
-        if not isinstance(request_id, str) or not 0 < len(request_id) <= 200:
-            raise InvalidParamsError("request_id is a string of 1 to 200 characters")
-        return await self._do_once(request_id, handler, request.params)
-
-    async def _do_once(self, request_id: str, handler: Handler, params: dict[str, Any]) -> Any:
-        """Do it unless it was done, or is being done, under this id; a failure is not kept and may be tried again."""
-        if request_id in self._in_progress:
-            return await asyncio.shield(self._in_progress[request_id])
-        known = self._requests.answer(request_id)
-        if known is not None:
-            return known
-        future = self._in_progress[request_id] = asyncio.ensure_future(handler(params))
-        try:
-            result = await future
-        finally:
-            del self._in_progress[request_id]
-        self._requests.keep(request_id, result)
-        return result
-
-
-class UnknownMethod(Exception):
-    """There is no such method."""
-
-
-def _details(error: LabdaemonError) -> dict[str, Any]:
-    """Members of an error for programs; its sentence is for people."""
-    if isinstance(error, ConfigError) and error.key is not None:
-        return {"key": error.key}
-    if isinstance(error, DeviceError) and error.device is not None:
-        return {"device": error.device}
-    if isinstance(error, RestUnconfirmed):
-        return {"table": error.table}
-    return {}

@@ -84,6 +84,12 @@ class InvalidParamsError(CommandError):
     code = INVALID_PARAMS
 
 
+class UnknownMethodError(CommandError):
+    """There is no such method."""
+
+    code = METHOD_NOT_FOUND
+
+
 class BadRequestError(Exception):
     """A frame that is no request.
 
