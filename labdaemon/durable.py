@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from labdaemon.errors import StorageError, StorageFull, StorageUnavailable
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 PART = ".part"
 

@@ -38,7 +38,8 @@ class ConfigError(LabdaemonError):
     exit_status = 2
 
     def __init__(self, message: str, *, source: Path | str | None = None, key: str | None = None) -> None:
-        self.source, self.key = source, key
+        self.source: Path | str | None = source
+        self.key: str | None = key
         where = ": ".join(str(part) for part in (source, key) if part is not None)
         super().__init__(f"{where}: {message}" if where else message)
 

@@ -78,7 +78,7 @@ class ServiceSection(TomlSection):
 class DriverSection(TomlSection):
     """A section whose other keys belong to the driver that it names."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")
 
     driver: Name
 

@@ -93,9 +93,11 @@ class DaemonUnderTest:
     """
 
     def __init__(self, rig: Any, folder: Path, *, gauges: bool = False) -> None:
-        self.rig, self.folder, self.data = rig, folder, folder / "data"
-        self.commands = f"tcp://127.0.0.1:{_free_port()}"
-        self.config = rig.write_files(
+        self.rig: Any = rig
+        self.folder: Path = folder
+        self.data: Path = folder / "data"
+        self.commands: str = f"tcp://127.0.0.1:{_free_port()}"
+        self.config: Path = rig.write_files(
             folder, events=f"tcp://127.0.0.1:{_free_port()}", commands=self.commands, data=str(self.data)
         )
         text = self.config.read_text()

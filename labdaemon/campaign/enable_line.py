@@ -19,7 +19,7 @@ from labdaemon.capture.enable_line_proof import LineUnproven, can_prove_enable_l
 from labdaemon.errors import DeviceError, InterlockError
 from labdaemon.stream.messages import WrongStateError
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 EnableLineState = Literal["proven", "failed", "untried", "impossible"]
 
@@ -44,7 +44,9 @@ class EnableLine:
     """
 
     def __init__(self, context: AcquisitionContext, reporter: CampaignReporter, is_accepted: bool) -> None:
-        self._context, self._reporter, self.is_accepted = context, reporter, is_accepted
+        self._context = context
+        self._reporter = reporter
+        self.is_accepted: bool = is_accepted
         self._turn = asyncio.Lock()
 
     @property

@@ -10,6 +10,7 @@ from typing import Any
 
 from labdaemon.campaign.campaign_runner import CHANGED_RIG, CampaignRunner
 from labdaemon.campaign.disk import DataDisk
+from labdaemon.campaign.enable_line import EnableLine
 from labdaemon.campaign.external_listener import ExternalListener
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.interlock_monitor import InterlockMonitor
@@ -31,7 +32,7 @@ from labdaemon.journal.records import CampaignRecord, CaptureRecord
 from labdaemon.orbit_size import LargestMotion, largest_motion
 from labdaemon.stream.messages import BusyError, CommandError, WrongStateError
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class Engine:
@@ -73,15 +74,18 @@ class Engine:
         free_bytes: Callable[[], int],
         policy: RetryPolicy | None = None,
     ) -> None:
-        self.context, self.queue, self.limits = context, queue, limits
-        self.policy = policy = policy or RetryPolicy()
+        self.context: AcquisitionContext = context
+        self.queue: MeasurementQueue = queue
+        self.limits: InterlockLimits = limits
+        policy = policy or RetryPolicy()
+        self.policy: RetryPolicy = policy
         self._journal = context.recorder.journal
-        self.control = RunControl()
-        self.disk = DataDisk(context.recorder, free_bytes, limits.min_disk_bytes)
-        self.reporter = CampaignReporter(context.recorder, context.clock, self.disk)
-        self.files = CampaignFiles(context.recorder, context.data, queue, self.reporter, folder_files)
-        self.step_runner = RetryingStepRunner(context, queue, self.control, self.reporter, policy)
-        self.monitor = InterlockMonitor(
+        self.control: RunControl = RunControl()
+        self.disk: DataDisk = DataDisk(context.recorder, free_bytes, limits.min_disk_bytes)
+        self.reporter: CampaignReporter = CampaignReporter(context.recorder, context.clock, self.disk)
+        self.files: CampaignFiles = CampaignFiles(context.recorder, context.data, queue, self.reporter, folder_files)
+        self.step_runner: RetryingStepRunner = RetryingStepRunner(context, queue, self.control, self.reporter, policy)
+        self.monitor: InterlockMonitor = InterlockMonitor(
             context,
             limits,
             self.trip,
@@ -90,11 +94,13 @@ class Engine:
             no_capture_in_flight=self.control.no_capture_in_flight.wait,
             intervals=policy.intervals,
         )
-        self.enable_line = self.step_runner.enable_line
+        self.enable_line: EnableLine = self.step_runner.enable_line
         manual = ManualMeasurements(context, queue, self.reporter, folder_files)
-        self.manual = ManualCaptures(context, manual, self.reporter, policy.window_s, self._request_recovery)
+        self.manual: ManualCaptures = ManualCaptures(
+            context, manual, self.reporter, policy.window_s, self._request_recovery
+        )
         self._listener = ExternalListener(context, self.manual, self.step_runner, self.reporter, policy)
-        self.runner = CampaignRunner(
+        self.runner: CampaignRunner = CampaignRunner(
             context,
             queue,
             planner,

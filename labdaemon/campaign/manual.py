@@ -32,7 +32,7 @@ EXPECTED_S = 600.0
 """A release that comes later than this after its request is another one: what was asked has been forgotten."""
 MOST_EXPECTED = 8
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,13 +109,13 @@ class ManualCaptures:
         self._on_failure = on_failure
         self._context, self._reporter, self._window_s = context, reporter, window_s
         self.measurements = measurements
-        self.turn = asyncio.Lock()
+        self.turn: asyncio.Lock = asyncio.Lock()
         """Held while a capture is taken, and by whoever moves the table meanwhile."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._expected: deque[ExpectedRelease] = deque()
         self._arrivals = ReleasePairing(tuple(context.rig.cameras), window_s)
         self._gauge_trouble: str | None = None
-        self.exposure_s = 1.0
+        self.exposure_s: float = 1.0
         """Exposure of captures outside any plan that the daemon releases."""
 
     @property

@@ -21,7 +21,7 @@ from labdaemon.journal.records import NO_STEP, CaptureRecord
 GROUP_QUIET_S = 20.0
 """A manual group is complete when no member has come for so long, or a capture of another group has."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class ManualMeasurements:

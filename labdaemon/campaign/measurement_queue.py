@@ -24,7 +24,7 @@ from labdaemon.journal.records import NO_STEP, CaptureRecord
 Rows = list[dict[str, Any]]
 DiskRetry = Callable[[Callable[[], Awaitable[object]]], Awaitable[object]]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 TRIES = 2
 DISK_POLL_S = 5.0
@@ -127,7 +127,7 @@ class MeasurementQueue:
         """Campaigns whose first frames were looked at."""
         self._reported: set[tuple[str, str]] = set()
         """Campaign and message of what manual captures could not be measured for."""
-        self.finished = 0
+        self.finished: int = 0
         """Results and failures so far: what a watchdog looks at."""
 
     @property

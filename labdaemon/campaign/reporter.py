@@ -18,7 +18,7 @@ from labdaemon.journal.records import CampaignState
 
 T = TypeVar("T")
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 DISK_POLL_S = 2.0
 RECORD_S = 2.0
@@ -45,7 +45,7 @@ class CampaignReporter:
 
     def __init__(self, recorder: Recorder, clock: Clock, disk: DataDisk) -> None:
         self._recorder, self._clock, self._disk = recorder, clock, disk
-        self.faults = 0
+        self.faults: int = 0
         self.last_fault: str | None = None
         self.disk_trouble: str | None = None
         self._recording: set[asyncio.Task[None]] = set()

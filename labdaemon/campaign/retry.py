@@ -113,10 +113,10 @@ class RetryingStepRunner:
     ) -> None:
         self._context, self._queue, self._control = context, queue, control
         self._reporter, self._policy = reporter, policy
-        self.enable_line = EnableLine(context, reporter, policy.accept_no_enable)
-        self.needs_recovery = True
+        self.enable_line: EnableLine = EnableLine(context, reporter, policy.accept_no_enable)
+        self.needs_recovery: bool = True
         """A capture may be in flight that no runner follows: at the start, and after every interruption."""
-        self.activity = "starting"
+        self.activity: str = "starting"
         """In a word or two, for status."""
         self.began_s: float | None = None
         """Monotonic time at which the present attempt at a step began; None while no step runs."""

@@ -28,9 +28,9 @@ class RunControl:
         """Why, for status."""
         self.tripped: LabdaemonError | None = None
         """What the interlock monitor ended the step for; None if it did not."""
-        self.changed = asyncio.Event()
+        self.changed: asyncio.Event = asyncio.Event()
         """Something may be different now: look again."""
-        self.no_capture_in_flight = asyncio.Event()
+        self.no_capture_in_flight: asyncio.Event = asyncio.Event()
         """Set while no shutters are open and no frames are on their way."""
         self.no_capture_in_flight.set()
         self._step_task: asyncio.Task[None] | None = None

@@ -251,7 +251,7 @@ class ReleasePairing:
         self._alone: list[tuple[str, CardFile]] = []
         self._lags: list[tuple[float, ...]] = []
         """How far the bodies' clocks are apart, seconds: as in the last set that was accepted, then in refused ones."""
-        self.first_s = 0.0
+        self.first_s: float = 0.0
         """Monotonic time at which the first file of the last whole set arrived."""
 
     def add(self, camera: str, file: CardFile, at_s: float) -> dict[str, CardFile] | None:

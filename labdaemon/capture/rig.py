@@ -12,7 +12,7 @@ from labdaemon.capture.device_executor import DeviceExecutor
 from labdaemon.capture.devices import Camera, Gauge, Shaker, Trigger
 from labdaemon.errors import DeviceError, DriverFault, LabdaemonError
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 D = TypeVar("D")
 T = TypeVar("T")

@@ -58,7 +58,7 @@ class Table:
         self._stops = 0
         self._stopping = asyncio.Lock()
         self._last_hz: float | None = None
-        self.enabled = False
+        self.enabled: bool = False
         """Whether the enable line is up, as far as we know."""
         self.excitation: Excitation | None = None
         """What it was last set to; None at rest."""
@@ -68,9 +68,9 @@ class Table:
         """Called when a stop is about to be sent."""
         self.before_motion: Callable[[], None] = lambda: None
         """Called before the first command that moves it is sent; what it raises keeps the table at rest."""
-        self.may_move = True
+        self.may_move: bool = True
         """False once rest was confirmed, until something is sent that moves it: what a guardian goes by."""
-        self.observer = TableObserver(rig, clock)
+        self.observer: TableObserver = TableObserver(rig, clock)
         self.unconfirmed: RestUnconfirmed | None = None
         """What the latest stop was that nothing confirmed; None once the table was seen to rest."""
 

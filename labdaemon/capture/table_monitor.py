@@ -17,7 +17,7 @@ from labdaemon.capture.table_stop import CONNECT_S, rest_unconfirmed
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError, LabdaemonError, RestUnconfirmed
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 ROUND_S = 0.7
 SECOND_ASK_S = 0.15

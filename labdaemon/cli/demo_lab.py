@@ -62,7 +62,8 @@ class DemoLab:
     """
 
     def __init__(self, rig: DemoRig, daemon: subprocess.Popen[str], client: Client) -> None:
-        self.rig, self.client = rig, client
+        self.rig: DemoRig = rig
+        self.client: Client = client
         self._daemon = daemon
 
     def events(self) -> Iterator[dict[str, Any]]:

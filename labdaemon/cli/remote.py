@@ -105,9 +105,9 @@ def _campaign_command(name: str, done: str, text: str) -> click.Command:
     return command
 
 
-pause = _campaign_command("pause", "paused", "Hold the campaign; the table comes to rest.")
-resume = _campaign_command("resume", "resumed", "Go on with a campaign that was paused.")
-abort = _campaign_command("abort", "aborted", "End the campaign; the table comes to rest.")
+pause: click.Command = _campaign_command("pause", "paused", "Hold the campaign; the table comes to rest.")
+resume: click.Command = _campaign_command("resume", "resumed", "Go on with a campaign that was paused.")
+abort: click.Command = _campaign_command("abort", "aborted", "End the campaign; the table comes to rest.")
 
 
 @click.command()

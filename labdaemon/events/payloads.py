@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 class EventPart(BaseModel):
     """What every model here has in common: it does not change, and it ignores members that it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="ignore")
 
 
 class CampaignData(EventPart):
@@ -231,7 +231,7 @@ class FaultData(EventPart):
     """
 
     # A driver of a lab's own may name its device by a number; its fault must be recorded all the same.
-    model_config = ConfigDict(coerce_numbers_to_str=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(coerce_numbers_to_str=True)
 
     device: str | None = None
     error: str | None = None

@@ -48,8 +48,9 @@ class HeartbeatMonitor:
 
     def __init__(self, setup: dict[str, Any], guarded: GuardedProcess) -> None:
         self.recipe: StopRecipe = from_json(setup["recipe"])
-        self.silence_s, self.patience_s = float(setup["silence_s"]), float(setup["patience_s"])
-        self.reporter = RescueReporter(setup["rig"], setup["report"])
+        self.silence_s: float = float(setup["silence_s"])
+        self.patience_s: float = float(setup["patience_s"])
+        self.reporter: RescueReporter = RescueReporter(setup["rig"], setup["report"])
         self._guarded, self._moving, self._bye, self._rest = guarded, True, False, b""
         self._silence = SilenceTimer(now())
         self._wanted_at = -math.inf

@@ -45,7 +45,8 @@ class SilenceTimer:
     def __init__(self, began: ClockReading) -> None:
         self._last = self._last_heartbeat = began
         self._may_ask = True
-        self.silent_s = self.longest_s = 0.0
+        self.silent_s: float = 0.0
+        self.longest_s: float = 0.0
 
     def tick(self, at: ClockReading) -> float:
         """Time has passed; the silence so far, seconds.

@@ -43,7 +43,7 @@ class Transaction:
     def __init__(self, connection: sqlite3.Connection, at: str, last_seq: int) -> None:
         self._connection = connection
         self.at = at
-        self.last_seq = last_seq
+        self.last_seq: int = last_seq
 
     def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
         """Run one statement."""
@@ -100,7 +100,7 @@ class Journal:
         lock: DataLock | None = None,
     ) -> None:
         self.folder = folder
-        self.path = folder / FILE_NAME
+        self.path: Path = folder / FILE_NAME
         self._clock = clock
         self._synchronous = synchronous
         self._listeners: list[Callable[[str], None]] = []

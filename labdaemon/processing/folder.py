@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -30,7 +30,7 @@ TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
 class CameraOpening(BaseModel):
     """Opening and exposure time of one body's own shutter, where measured."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="ignore")
     phase_rad: Finite | None = None
     exposure_s: Positive | None = None
 
@@ -38,7 +38,7 @@ class CameraOpening(BaseModel):
 class CaptureFile(BaseModel):
     """`capture.toml`: excitation, exposure and light of one capture, as far as known."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="ignore")
     frequency_hz: Positive | None = None
     exposure_s: Positive | None = None
     phase_rad: Finite | None = None

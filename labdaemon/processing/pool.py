@@ -115,7 +115,7 @@ class WorkerPool:
     """
 
     def __init__(self, workers: int = 0, *, deadline_s: float = 300.0) -> None:
-        self.workers = workers or len(os.sched_getaffinity(0))
+        self.workers: int = workers or len(os.sched_getaffinity(0))
         self.deadline_s = deadline_s
         self._lock = threading.Lock()
         self._generation: _Generation | None = None

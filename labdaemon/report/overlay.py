@@ -30,7 +30,7 @@ CLEAN: Colour = (60, 220, 90)
 FLAGGED: Colour = (40, 170, 255)
 RESTING: Colour = (230, 190, 70)
 LOST: Colour = (60, 60, 255)
-COLOURS = {"clean": CLEAN, "at rest": RESTING, "flagged": FLAGGED, "not measured": LOST}
+COLOURS: dict[str, Colour] = {"clean": CLEAN, "at rest": RESTING, "flagged": FLAGGED, "not measured": LOST}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 

@@ -25,7 +25,8 @@ class PdfPage:
     """
 
     def __init__(self, width_mm: float, height_mm: float) -> None:
-        self.width_mm, self.height_mm = width_mm, height_mm
+        self.width_mm: float = width_mm
+        self.height_mm: float = height_mm
         k = _number(POINTS_PER_MM)
         self._content = [f"{k} 0 0 {k} 0 0 cm"]
 

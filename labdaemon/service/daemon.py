@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from labdaemon.campaign.measurement_queue import CaptureMeasurer
     from labdaemon.processing import WorkerPool
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 SWITCH_S = 0.001
 """How long a busy thread keeps the interpreter to itself: a stop passes three threads on its way to the wire."""

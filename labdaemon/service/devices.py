@@ -13,7 +13,7 @@ from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.errors import DeviceError
 from labdaemon.service.config import RigConfig, find_driver
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 CONNECT_S = 20.0
 """A body that was asleep, or a port that a replug moved, takes its time."""

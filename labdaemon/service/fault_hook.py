@@ -33,7 +33,7 @@ LAST_TIMEOUT_S = 5.0
 """For what is still unsent when the daemon ends."""
 MOST_EVENTS = 50
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 def resolve_command(command: Sequence[str], rig: Path) -> tuple[str, ...]:

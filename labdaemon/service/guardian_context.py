@@ -20,7 +20,7 @@ from labdaemon.service.guardian_process import GuardianSettings
 from labdaemon.service.guardian_supervisor import GuardianSupervisor
 from labdaemon.service.shaker_lock import lock_holder, wait_free
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 WAIT_S = 15.0
 """Longest wait for the guardian of an earlier daemon; it hands over after some seconds without success."""

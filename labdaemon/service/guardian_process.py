@@ -20,7 +20,7 @@ from labdaemon.guardian import __main__ as program
 from labdaemon.guardian.recipe import StopRecipe, to_json
 from labdaemon.service.shaker_lock import ShakerLock, ShakerLockConflict
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 END_S = 2.0
 """Longest wait for its end, after a goodbye or a kill."""

@@ -17,7 +17,7 @@ from labdaemon.guardian.recipe import StopRecipe, read_message
 from labdaemon.guardian.silence_timer import SilenceTimer, now
 from labdaemon.service.guardian_process import GuardianProcess, GuardianSettings
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 BEAT_S = 0.2
 DEAF_S = 5.0
@@ -59,7 +59,7 @@ class GuardianSupervisor:
         self._silence = SilenceTimer(now())
         self._beats, self._rest, self._is_listening = 0, b"", False
         self.on_lost: Callable[[str], None] = lambda reason: log.warning("%s", reason)
-        self.longest_s = 0.0
+        self.longest_s: float = 0.0
 
     def describe(self) -> dict[str, Any]:
         """For `status`: its process (None while there is none), and the longest gap between heartbeats, seconds."""

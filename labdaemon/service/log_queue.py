@@ -50,7 +50,7 @@ class LogQueueHandler(logging.Handler):
         self._close_writer = close_writer
         self._queue: queue.Queue[logging.LogRecord | None] = queue.Queue(capacity)
         self._idle = threading.Event()
-        self.dropped = 0
+        self.dropped: int = 0
         self._reported = 0
         self._is_closed = False
         # A daemon thread: a reader that never reads must not hold up the end of the process either.

@@ -21,7 +21,7 @@ from labdaemon.service.shaker_lock import LockHolder, ShakerLock, lock_holder
 from labdaemon.service.signals import ending_signals
 from labdaemon.service.stop_actuators import StopActuators, read_stop_actuators
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 ASK_S = 10.0
 """How long a living daemon may take to stop its table before it is stopped past it."""

@@ -40,7 +40,7 @@ from labdaemon.service.watchdog import notify
 from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.publisher import EventPublisher, latest, replay
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 async def serve(context: DaemonContext, start: StartupSequence) -> int:

@@ -25,7 +25,7 @@ from typing import Literal
 
 from labdaemon.errors import ConfigError
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 Role = Literal["daemon", "guardian"]
 
@@ -126,7 +126,8 @@ class ShakerLock:
     """
 
     def __init__(self, port: str, role: Role, *, commands: str = "", config: str = "") -> None:
-        self.port, self.role = port, role
+        self.port: str = port
+        self.role = role
         self._note = LockHolder(os.getpid(), role, commands, config)
         self._files: list[int] = []
         if is_in_process(port):

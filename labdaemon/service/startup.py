@@ -30,7 +30,7 @@ from labdaemon.stream.messages import WrongStateError
 
 T = TypeVar("T")
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 RETRY_S = 2.0
 """Between two tries of the same thing; each has a deadline of its own."""

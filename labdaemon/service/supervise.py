@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from labdaemon.clock import Clock
 from labdaemon.errors import LabdaemonError, ServiceFailure, StorageUnavailable, UsageError
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 DISK_S = 2.0
 """Pause before a part that only waits for the disk is started again."""

@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from labdaemon.clock import Clock
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 DEFAULT_PERIOD_S = 20.0
 """How often progress is looked at where systemd does not ask for a watchdog."""

@@ -53,10 +53,10 @@ class RemoteError(LabdaemonError):
     """
 
     def __init__(self, error: dict[str, Any]) -> None:
-        self.code = int(error.get("code", messages.INTERNAL_ERROR))
+        self.code: int = int(error.get("code", messages.INTERNAL_ERROR))
         self.data: dict[str, Any] = dict(error.get("data") or {})
-        self.name = str(self.data.get("name", "error"))
-        self.retryable = self.code == messages.BUSY
+        self.name: str = str(self.data.get("name", "error"))
+        self.retryable: bool = self.code == messages.BUSY
         self.exit_status = 2 if self.code in {messages.INVALID_PARAMS, messages.LIMITS} else 1
         super().__init__(str(error.get("message", "the daemon refused")))
 
@@ -65,7 +65,8 @@ class JournalChanged(LabdaemonError):
     """The daemon writes another history than before; the stream continues from that one's beginning."""
 
     def __init__(self, before: str, now: str) -> None:
-        self.before, self.now = before, now
+        self.before: str = before
+        self.now: str = now
         super().__init__(f"the daemon's journal is {now} now, it was {before}: seq starts anew")
 
 
@@ -81,7 +82,8 @@ class Client:
     """
 
     def __init__(self, commands: str = COMMANDS, events: str = EVENTS, *, timeout_s: float = 10.0) -> None:
-        self.commands_address, self.events_address = commands, events
+        self.commands_address: str = commands
+        self.events_address: str = events
         self.timeout_s = timeout_s
         self._context = zmq.Context()
         self._socket: zmq.Socket[bytes] | None = None
@@ -221,7 +223,8 @@ class EventStream:
     """
 
     def __init__(self, client: Client, *, after: int | None = None, journal: str | None = None) -> None:
-        self.last, self.journal = after, journal
+        self.last: int | None = after
+        self.journal: str | None = journal
         self._client = client
         self._socket = client.subscribe()
         self._ready: deque[dict[str, Any]] = deque()

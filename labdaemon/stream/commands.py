@@ -37,7 +37,7 @@ MAX_IN_PROGRESS = 64
 MAX_OF_ONE = 16
 TOO_MANY = "too many commands at once; try again"
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class CommandServer:
@@ -59,8 +59,8 @@ class CommandServer:
     """
 
     def __init__(self, address: str, handlers: Mapping[str, Handler], requests: RequestStore | None = None) -> None:
-        self.address = address
-        self.dispatcher = CommandDispatcher(handlers, requests)
+        self.address: str = address
+        self.dispatcher: CommandDispatcher = CommandDispatcher(handlers, requests)
         self._tasks: set[asyncio.Task[None]] = set()
         self._of_client: Counter[bytes] = Counter()
         self._large: set[asyncio.Task[None]] = set()

@@ -103,7 +103,8 @@ class BadRequestError(Exception):
 
     def __init__(self, code: int, message: str, request_id: RequestId = None) -> None:
         super().__init__(message)
-        self.code, self.id = code, request_id
+        self.code: int = code
+        self.id: RequestId = request_id
 
 
 @dataclass(frozen=True, slots=True)

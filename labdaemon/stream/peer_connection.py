@@ -165,8 +165,10 @@ class PeerConnection:
         self._first = b""
         self._tokens = float(limits.burst_bytes)
         self._resume: asyncio.TimerHandle | None = None
-        self.accepted_s = self.active_s = self._seen_s = time.monotonic()
-        self.is_waiting = False
+        self.accepted_s: float = time.monotonic()
+        self.active_s: float = self.accepted_s
+        self._seen_s = self.accepted_s
+        self.is_waiting: bool = False
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(peer, self._read_signature)
 

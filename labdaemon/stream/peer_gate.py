@@ -43,7 +43,7 @@ clients come back ten times a second each; an operator's turn among them comes w
 EXHAUSTED_PAUSE_S = 0.5
 LOG_EVERY_S = 60.0
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 def most_peers() -> int:
@@ -94,10 +94,10 @@ class PeerGate:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._logged_s = -LOG_EVERY_S
-        self.refusals = 0
+        self.refusals: int = 0
         self._listener = _listen(address)
         host, _, _ = address.removeprefix("tcp://").rpartition(":")
-        self.address = f"tcp://{host}:{self._listener.getsockname()[1]}"
+        self.address: str = f"tcp://{host}:{self._listener.getsockname()[1]}"
 
     def open(self) -> None:
         """Let peers in from now on. Call it on the event loop; again is harmless."""

@@ -25,7 +25,7 @@ from labdaemon.stream.peer_gate import PeerGate
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
 from labdaemon.stream.text_limits import bounded_text
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 STATUS_PERIOD_S = 1.0
 GREETING_PAUSE_S = 0.02
@@ -81,7 +81,7 @@ class EventPublisher:
     """
 
     def __init__(self, address: str, outbox: Outbox, status: Callable[[], dict[str, Any]], clock: Clock) -> None:
-        self.address = address
+        self.address: str = address
         self._outbox, self._status, self._clock = outbox, status, clock
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None

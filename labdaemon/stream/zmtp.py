@@ -68,8 +68,9 @@ class PeerInspector:
 
     def __init__(self, limits: PeerLimits) -> None:
         self._limits = limits
-        self.is_peer = self.is_ready = False
-        self.messages = 0
+        self.is_peer: bool = False
+        self.is_ready: bool = False
+        self.messages: int = 0
         self._greeting = b""
         self._header = b""
         self._flags = 0

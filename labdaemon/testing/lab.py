@@ -127,19 +127,21 @@ class FakeLab:
         has_shaker: bool = True,
         proof: EnableLineProof = "proven",
     ) -> None:
-        self.data, self.clock = data, clock
-        self.fake = rig or fake_rig(clock)
+        self.data: Path = data
+        self.clock: SimulatedClock = clock
+        self.fake: FakeRig = rig or fake_rig(clock)
         if not has_shaker:  # others move the table, and hold its enable line
             self.fake.rig = replace(self.fake.rig, shaker=None)
             self.fake.world.line_wired = False
         if not has_trigger:
             self.fake.rig = replace(self.fake.rig, trigger=None, shaker=None)
-        self.limits, self.policy = limits or InterlockLimits(), policy or RetryPolicy()
+        self.limits: InterlockLimits = limits or InterlockLimits()
+        self.policy: RetryPolicy = policy or RetryPolicy()
         self.free_bytes = 10**12
         self.proof = proof
         self.exposures_s: dict[str, tuple[float, ...]] = dict.fromkeys(self.fake.rig.cameras, (0.5, 1.0, 2.0))
         self.rig_digest = ""
-        self.measurer = FakeMeasurer()
+        self.measurer: FakeMeasurer = FakeMeasurer()
         self.journal: Journal
         self.engine: Engine
         self.table_monitor: TableMonitor

@@ -21,7 +21,7 @@ from labdrivers.ptp.events import NEWS, EventListener, parse_nikon_events
 from labdrivers.ptp.objects import as_card_file, list_handles, object_info
 from labdrivers.ptp.session import PtpRefused, PtpSession
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 POLL_S = 0.1
 LIST_EVERY_S = 2.0

@@ -68,7 +68,7 @@ class Wire:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
         self._lines = process.stdout
-        self.port = int(self._lines.readline())
+        self.port: int = int(self._lines.readline())
         self._passed: list[tuple[float, str]] = []
         threading.Thread(target=self._read, daemon=True).start()
 

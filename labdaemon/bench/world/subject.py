@@ -45,7 +45,7 @@ class Subject(DaemonUnderTest):
 
     def __init__(self, rig: Any, folder: Path) -> None:
         super().__init__(rig, folder)
-        self.campaigns = 0
+        self.campaigns: int = 0
         text = self.config.read_text()
         if "accept_no_enable" not in text:
             self.config.write_text(text.replace("[interlocks]\n", "[interlocks]\naccept_no_enable = true\n", 1))
@@ -54,7 +54,7 @@ class Subject(DaemonUnderTest):
         """Start it and wait until it serves."""
         command = [sys.executable, "-m", "labdaemon.bench.world.ending_child", str(self.config), str(self.data)]
         with (self.folder / "daemon.log").open("a") as log:
-            self.process = subprocess.Popen(
+            self.process: subprocess.Popen[str] = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
             )
         assert self.process.stdout is not None

@@ -29,6 +29,7 @@ from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
+from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.texture_settings import TEXTURE
 
@@ -166,14 +167,16 @@ class TextureEquations:
     """
 
     def __init__(self, problem: FitProblem, form: TexturedPatch, first: Solution, motion: TransferFunction) -> None:
-        self.problem, self.form, self.motion = problem, form, motion
-        self.light = first.light
-        self.root = np.sqrt(first.weight)
+        self.problem: FitProblem = problem
+        self.form: TexturedPatch = form
+        self.motion: TransferFunction = motion
+        self.light: FloatArray = first.light
+        self.root: FloatArray = np.sqrt(first.weight)
         used = first.weight.reshape(len(first.weight), -1).any(axis=1)
         depth = float(np.mean(np.abs(first.light[used, 0] * first.light[used, 3]))) if used.any() else 0.0
-        self.template_share = (depth / max(form.spread_dn, 1e-12)) ** 2 / form.frames
-        self.pixels = int(np.count_nonzero(first.weight)) - 3 * int(np.count_nonzero(used))
-        self.model = fast_forward_model(problem, motion, exact=True)
+        self.template_share: float = (depth / max(form.spread_dn, 1e-12)) ** 2 / form.frames
+        self.pixels: int = int(np.count_nonzero(first.weight)) - 3 * int(np.count_nonzero(used))
+        self.model: DarknessModel = fast_forward_model(problem, motion, exact=True)
 
     def at(self, p: FloatArray) -> CorrectedEquations:
         """Evaluate at (k + 1,) parameters, the last one the relative contrast."""
