@@ -127,8 +127,6 @@ class MeasurementQueue:
         """Campaigns whose first frames were looked at."""
         self._reported: set[tuple[str, str]] = set()
         """Campaign and message of what manual captures could not be measured for."""
-        self.finished: int = 0
-        """Results and failures so far: what a watchdog looks at."""
 
     @property
     def waiting(self) -> int:
@@ -311,7 +309,6 @@ class MeasurementQueue:
             )
         )
         await self._append(campaign, folder, measured, again=again)
-        self.finished += 1
         if self.observer is not None:
             self.observer.result_published(campaign, name, measured.envelope)
 
@@ -332,7 +329,6 @@ class MeasurementQueue:
         await self.with_disk_retry(
             lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, payload, is_known=is_known)
         )
-        self.finished += 1
 
     async def _append(self, campaign: str, folder: Path, measured: CaptureRows, *, again: bool) -> None:
         """Add a result to the files, or write them anew where it replaces an earlier one.

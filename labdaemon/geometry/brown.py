@@ -19,9 +19,6 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
 
-BROWN_NAMES = ("c", "px", "py", "affinity", "K1", "K2", "K3", "P1", "P2")
-"""Order of the interior parameters in Jacobians and covariances."""
-
 
 @dataclass(frozen=True, slots=True)
 class BrownLens:
@@ -55,13 +52,13 @@ class BrownLens:
 
     @property
     def parameters(self) -> FloatArray:
-        """(9,) in the order of `BROWN_NAMES`."""
+        """(9,) c, px, py, affinity, K1, K2, K3, P1, P2: their order in Jacobians and covariances."""
         return np.array(
             [self.camera_constant_mm, *self.principal_point_mm, self.affinity, *self.radial, *self.decentring]
         )
 
     def with_parameters(self, parameters: FloatArray) -> BrownLens:
-        """Give the same camera with other interior parameters (9,), in the order of `BROWN_NAMES`."""
+        """Give the same camera with other interior parameters (9,), in the order of `parameters`."""
         c, px, py, affinity, k1, k2, k3, p1, p2 = (float(value) for value in parameters)
         return BrownLens(self.image_size, self.pixel_mm, c, (px, py), affinity, (k1, k2, k3), (p1, p2))
 
@@ -206,28 +203,6 @@ def forward_from_backward(brown: BrownLens) -> tuple[Lens, float]:
     if not worst < 0.01 * max(brown.image_size):
         raise DataError(nothing)
     return lens, worst
-
-
-def backward_from_forward(lens: Lens, pixel_mm: float) -> tuple[BrownLens, float]:
-    """Brown's model of a lens given in OpenCV's, for a pixel height of `pixel_mm`; see `forward_from_backward`."""
-    pixels = _grid(lens.image_size)
-    slopes = lens.undistort(pixels)
-    usable = np.isfinite(slopes).all(axis=1)
-    if not usable.all():
-        raise DataError("the lens model folds over within its own frame: calibrate again")
-    fx, fy = lens.focal_px
-    affinity = fy / fx - 1.0
-    centre = ((lens.principal_point_px[0] + 0.5) * pixel_mm, (lens.principal_point_px[1] + 0.5) * pixel_mm)
-    brown = BrownLens(lens.image_size, pixel_mm, fy * pixel_mm, centre, affinity)
-    for _ in range(20):
-        residual, _, by_interior = brown.linearise(pixels, slopes)
-        design = by_interior.reshape(-1, 9)
-        scale = np.linalg.norm(design, axis=0)
-        step = np.linalg.lstsq(design / scale, residual.ravel(), rcond=None)[0] / scale
-        brown = brown.with_parameters(brown.parameters + step)
-        if np.all(np.abs(step) <= 1e-12 * (1.0 + np.abs(brown.parameters))):
-            break
-    return brown, float(np.abs(pixels - brown.distort(slopes)).max())
 
 
 def _grid(image_size: tuple[int, int]) -> FloatArray:

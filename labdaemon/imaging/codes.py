@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -174,9 +174,6 @@ def _read(frame: RawFrame, book: cv2.aruco.Dictionary) -> list[tuple[int, FloatA
                 for n, c in zip(np.ravel(numbers), corners, strict=True)
             ]
     return found
-
-
-_Points = Callable[[FloatArray], FloatArray]
 
 
 def _identity(points: FloatArray) -> FloatArray:

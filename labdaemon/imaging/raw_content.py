@@ -11,7 +11,6 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import partial
 from pathlib import Path
 
 Read = Callable[[int, int], bytes]
@@ -290,12 +289,3 @@ def _boxes(source: _Blocks, head: bytes) -> Content:
             break
         offset += size
     return Content(Kind.UNFINISHED if offset > source.size_bytes else Kind.RAW, ".cr3")
-
-
-def reader_of(data: bytes) -> Read:
-    """Reads parts of bytes in memory."""
-    return partial(_slice, data)
-
-
-def _slice(data: bytes, offset: int, size: int) -> bytes:
-    return data[offset : offset + size]

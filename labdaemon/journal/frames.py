@@ -37,43 +37,32 @@ def part_of(path: Path) -> Path:
     return path.with_name(path.name + PART)
 
 
-def seal(path: Path, size_bytes: int | None = None) -> tuple[int, str]:
-    """Make a written ``.part`` durable under its final name, which no other file has.
+def seal_new(path: Path, size_bytes: int | None = None) -> tuple[Path, int, str]:
+    """Make a written ``.part`` durable under the first name of `numbered` that no other frame has.
 
     Parameters
     ----------
     path
-        The final name. A file of the same content that has it already is that frame, sealed before a crash.
+        The wanted name. A file of the same content that has it already is that frame, sealed before a crash.
     size_bytes
         What its size must be; None if unknown.
 
     Returns
     -------
-    Size in bytes and SHA-256 (hex) of what is on disk.
+    The name it has, its size in bytes and the SHA-256 (hex) of what is on disk.
 
     Raises
     ------
     DataError
         The size is not what it must be; the ``.part`` is removed, so that it can be fetched again.
-    NameTaken
-        Another file has the name; it and the ``.part`` stay.
+    StorageError
+        The disk does not take it.
     """
     part = part_of(path)
     try:
         written, sha256 = _read_and_sync(part, path, size_bytes)
-        _place(part, path, sha256)
-    except OSError as exc:
-        raise storage_error(exc, path) from exc
-    return written, sha256
-
-
-def seal_new(path: Path, size_bytes: int | None = None) -> tuple[Path, int, str]:
-    """`seal`, under the first name of `numbered` that is free; returns which as well."""
-    part = part_of(path)
-    try:
-        written, sha256 = _read_and_sync(part, path, size_bytes)
         for place in numbered(path):
-            with suppress(NameTaken):
+            with suppress(NameTaken):  # another frame's file stays as it is: the next number may be free
                 _place(part, place, sha256)
                 return place, written, sha256
     except OSError as exc:

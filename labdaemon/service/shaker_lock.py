@@ -114,11 +114,6 @@ class ShakerLock:
     commands, config
         For whoever finds the lock held, see `LockHolder`; `note` changes them later.
 
-    Attributes
-    ----------
-    is_held
-        False where no lock could be made (which was logged) or none is needed.
-
     Raises
     ------
     ShakerLockConflict
@@ -139,11 +134,6 @@ class ShakerLock:
             self.release()
             raise
         self._write()
-
-    @property
-    def is_held(self) -> bool:
-        """Whether this process holds it."""
-        return bool(self._files)
 
     @property
     def descriptors(self) -> list[int]:

@@ -14,8 +14,6 @@ HARMLESS = {signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH, sign
 SUSPENDING = {signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU}
 """A daemon that is stopped by its terminal cannot watch the table: these are ignored."""
 
-INTERRUPTED = 130
-
 
 def ending_signals() -> list[int]:
     """Numbers of all signals that end a process and can be caught, the real-time ones included.

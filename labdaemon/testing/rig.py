@@ -30,16 +30,6 @@ from labdaemon.clock import Clock
 from labdaemon.errors import DeviceRefused, ProtocolError, TransportError
 
 FaultKind = Literal["gone", "rubbish", "refused", "silent", "slow", "torn", "lost_file", "unexpected_file"]
-FAULT_KINDS: tuple[FaultKind, ...] = (
-    "gone",
-    "rubbish",
-    "refused",
-    "silent",
-    "slow",
-    "torn",
-    "lost_file",
-    "unexpected_file",
-)
 """Port gone; answer not in its protocol; a plain no; never an answer; one too late; a broken transfer; no file after a
 release; a file of no release."""
 

@@ -9,8 +9,13 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdaemon.imaging.raw_content import Content, Kind, check_content, reader_of
+from labdaemon.imaging.raw_content import Content, Kind, Read, check_content
 from labdrivers.sim.dng import write_dng
+
+
+def reader_of(data: bytes) -> Read:
+    """Reads parts of bytes in memory."""
+    return lambda offset, size: data[offset : offset + size]
 
 
 def dng(pattern: str = "RGGB") -> bytes:

@@ -71,8 +71,3 @@ class Faults:
         with self._lock:
             fault = self._active.get(name)
             return default if fault is None or fault.value is None else fault.value
-
-    def active(self) -> list[str]:
-        """Names of the faults that are on."""
-        with self._lock:
-            return sorted(self._active)

@@ -104,11 +104,6 @@ class SimulatedBus:
                 self._claims.pop(address, None)
         camera.unplugged()
 
-    def is_plugged(self, name: str) -> bool:
-        """Whether the camera is on the bus."""
-        with self._lock:
-            return self.cameras[name] in self._plugged.values()
-
     def devices(self) -> list[UsbDeviceInfo]:
         """Everything plugged in."""
         with self._lock:
