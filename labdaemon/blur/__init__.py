@@ -3,7 +3,8 @@
 Arrays in, arrays out; `measure`, `measure_frame` and `measure_group` are the ways in. The rooms behind them, lowest
 first: ``patch`` (what the sensor saw), ``solver``, ``spectra`` (dot, lens, pixel, motion in closed form), ``sharp``
 (the target at rest), ``smear`` (the modelled image), ``fit`` (whole cycles, declared laws) and ``phase`` (windows of
-part cycles). ``published`` holds the published method, to compare with.
+part cycles). ``mccarthy2016`` holds the published method, to compare with. `predict_sd` and `nearest_twin` say before a
+capture how well it will know a motion.
 """
 
 from labdaemon.blur.average import average_measurements
@@ -20,11 +21,13 @@ from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_elli
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
+from labdaemon.blur.prediction import DotImage, PredictedSd, predict_sd
 from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
 from labdaemon.blur.sharp.fit_sharp import fit_sharp
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import make_textured_patch
 from labdaemon.blur.smear.defocus import estimate_frame_defocus
+from labdaemon.blur.twins import Twin, nearest_twin
 from labdaemon.blur.unsolvable import solved
 from labdaemon.blur.waveform import MotionWaveform
 
@@ -33,6 +36,7 @@ __all__ = [
     "TEXTURE_MAP",
     "Defocus",
     "Dot",
+    "DotImage",
     "Ellipse",
     "ExposureWindow",
     "FloatArray",
@@ -42,9 +46,11 @@ __all__ = [
     "MotionWaveform",
     "NoiseModel",
     "Patch",
+    "PredictedSd",
     "RelativeSigns",
     "SharpTarget",
     "StaticMeasurement",
+    "Twin",
     "average_measurements",
     "decide_sign",
     "ellipse_from_moments",
@@ -64,5 +70,7 @@ __all__ = [
     "measure_static",
     "mirror_axes",
     "named_code",
+    "nearest_twin",
+    "predict_sd",
     "solved",
 ]
