@@ -49,6 +49,11 @@ def rfc3339(moment: datetime) -> str:
     return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
+def parse_rfc3339(text: str) -> datetime:
+    """The time that `rfc3339` wrote."""
+    return datetime.fromisoformat(text)
+
+
 class SimulatedClock:
     """Time that passes only when every task waits, and then at once.
 

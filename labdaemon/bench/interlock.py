@@ -26,6 +26,7 @@ from labdaemon.bench.kill import small_rig
 from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.interlock_monitor import InterlockMonitor
 from labdaemon.campaign.interlocks import InterlockLimits
+from labdaemon.campaign.run_control import RunControl
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.recorder import Recorder
@@ -125,18 +126,21 @@ async def measure(rig_file: Path, proxy: RecordingProxy, data: Path, trips: int)
     tripped: list[float] = []
     stopped: list[asyncio.Task[Any]] = []
 
-    def trip(error: LabdaemonError) -> None:
-        if not tripped and table.excitation is not None:
-            tripped.append(time.monotonic())
-            stopped.append(asyncio.create_task(table.stop()))
+    class StopOnTrip:
+        """Stops the table, with no engine in between."""
 
-    async def quiet() -> None:
-        return None
+        def trip(self, error: LabdaemonError) -> None:
+            if not tripped and table.excitation is not None:
+                tripped.append(time.monotonic())
+                stopped.append(asyncio.create_task(table.stop()))
+
+        def oldest_s(self) -> float:
+            return 0.0  # nothing is measured here
+
+    observer = StopOnTrip()
 
     disk = DataDisk(context.recorder, lambda: 1 << 40, 0)
-    monitor = InterlockMonitor(
-        context, InterlockLimits(), trip, disk=disk, oldest_s=lambda: 0.0, no_capture_in_flight=quiet
-    )
+    monitor = InterlockMonitor(context, InterlockLimits(), observer, disk=disk, backlog=observer, control=RunControl())
     watching = asyncio.create_task(monitor.run())
     found: dict[bool, list[float]] = {False: [], True: []}
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 from labdaemon.campaign.external_listener import ExternalListener
 from labdaemon.campaign.folder import CampaignFiles
@@ -17,7 +16,8 @@ from labdaemon.campaign.run_control import RunControl
 from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.errors import ConfigError, InterlockError, LabdaemonError, StorageError, StorageUnavailable
-from labdaemon.journal import records
+from labdaemon.events import CampaignData
+from labdaemon.journal import records, transitions
 from labdaemon.journal.records import CampaignRecord, CampaignState
 from labdaemon.journal.storage import JournalError
 
@@ -76,7 +76,7 @@ class CampaignRunner:
                     self.control.clear("pause")
             await self.files.open(record, plan)
             if state_of(self.context.recorder.journal, record.id) == "queued":
-                await self.move(record, "running", **outline(plan))
+                await self.move(record, "running", data=outline(plan))
             await self._run_steps(record, plan, monitor)
             self.control.clear()
         except (JournalError, StorageUnavailable):
@@ -143,7 +143,8 @@ class CampaignRunner:
         if self.control.requested != "go":
             return False
         taken = sum(records.captures_by_step(self.context.recorder.journal, record.id).values())
-        return await self.move(record, "completed", name=plan.name, steps=len(plan.steps), captures=taken)
+        summary = CampaignData(name=plan.name, steps=len(plan.steps), captures=taken)
+        return await self.move(record, "completed", data=summary)
 
     async def rest(self) -> None:
         """Table to rest; if nothing confirms, that is a fault, and nothing moves until a person has resumed."""
@@ -157,9 +158,15 @@ class CampaignRunner:
         campaign = self.current.id if self.current is not None else None
         await self.reporter.fault(exc, campaign=campaign, step=self.step, action=action)
 
-    async def move(self, record: CampaignRecord, state: CampaignState, reason: str | None = None, **data: Any) -> bool:
+    async def move(
+        self,
+        record: CampaignRecord,
+        state: CampaignState,
+        reason: str | None = None,
+        data: CampaignData = transitions.NOTHING_MORE,
+    ) -> bool:
         """Put a campaign into another state; False if it was in none that leads there."""
-        moved = await self.reporter.move(record.id, state, reason, **data)
+        moved = await self.reporter.move(record.id, state, reason, data)
         if moved and self.current is not None and self.current.id == record.id:
             self.current = replace(self.current, state=state, reason=reason)
         return moved

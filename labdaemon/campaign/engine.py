@@ -86,19 +86,11 @@ class Engine:
         self.files: CampaignFiles = CampaignFiles(context.recorder, context.data, queue, self.reporter, folder_files)
         self.step_runner: RetryingStepRunner = RetryingStepRunner(context, queue, self.control, self.reporter, policy)
         self.monitor: InterlockMonitor = InterlockMonitor(
-            context,
-            limits,
-            self.trip,
-            disk=self.disk,
-            oldest_s=queue.oldest_s,
-            no_capture_in_flight=self.control.no_capture_in_flight.wait,
-            intervals=policy.intervals,
+            context, limits, self, self.disk, queue, self.control, intervals=policy.intervals
         )
         self.enable_line: EnableLine = self.step_runner.enable_line
         manual = ManualMeasurements(context, queue, self.reporter, folder_files)
-        self.manual: ManualCaptures = ManualCaptures(
-            context, manual, self.reporter, policy.window_s, self._request_recovery
-        )
+        self.manual: ManualCaptures = ManualCaptures(context, manual, self.reporter, policy.window_s, self.step_runner)
         self._listener = ExternalListener(context, self.manual, self.step_runner, self.reporter, policy)
         self.runner: CampaignRunner = CampaignRunner(
             context,
@@ -111,7 +103,7 @@ class Engine:
             self._listener,
             policy.accept_changed_rig,
         )
-        queue.observer, queue.with_disk_retry = self, self.reporter.with_disk_retry
+        queue.observer = self
         self._stops: set[asyncio.Task[None]] = set()
         self.largest: LargestMotion | None = None
 
@@ -218,7 +210,7 @@ class Engine:
             if not accept_changed_rig:
                 raise WrongStateError(f"{record.id}: {CHANGED_RIG}")
             await self.files.accept(record, plan.digest)
-        if not await self.runner.move(record, "running", **outline(plan)):
+        if not await self.runner.move(record, "running", data=outline(plan)):
             raise WrongStateError(f"campaign {record.id} has just ended")
         self.control.clear()
         return record.id
@@ -298,15 +290,15 @@ class Engine:
         self.step_runner.activity = "idle"
         await self._listener.listen_during(self.control.wait(monitor), None)
 
-    def _request_recovery(self) -> None:
-        self.step_runner.needs_recovery = True
-        self.control.changed.set()
-
     async def _stop_table(self) -> None:
         try:
             await self.step_runner.stop_table()
         except InterlockError as exc:
             await self.runner.fault(exc, "use the emergency stop")
+
+    async def wait_for_disk(self, exc: StorageUnavailable) -> None:
+        """A result cannot be written now: report it once, and wait until the disk takes writes."""
+        await self.reporter.wait_for_disk(exc)
 
     def result_published(self, campaign: str, name: str, rows: Rows) -> None:
         """An envelope is out: keep its largest motion for status, and judge it."""

@@ -7,12 +7,13 @@ measuring queue, and the cameras every half minute. The checks themselves are in
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from labdaemon.campaign import interlocks
 from labdaemon.campaign.disk import DataDisk
 from labdaemon.campaign.interlocks import GaugeSample, InterlockLimits
+from labdaemon.campaign.run_control import RunControl
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.devices import Gauge
 from labdaemon.capture.rig import CALL_S, DeviceHandle
@@ -34,32 +35,50 @@ class PollIntervals:
     cameras_s: float = 30.0
 
 
+class InterlockObserver(Protocol):
+    """Acts on what an `InterlockMonitor` sees."""
+
+    def trip(self, error: LabdaemonError) -> None:
+        """Stop the table. Another call while it is stopped does no harm.
+
+        A crossed limit is an `InterlockError`, which waits for a person; a lost device's own `DeviceError` and a
+        `StorageUnavailable` may pass.
+        """
+        ...
+
+
+class Backlog(Protocol):
+    """What waits to be measured."""
+
+    def oldest_s(self) -> float:
+        """How long the oldest capture has waited, seconds."""
+        ...
+
+
 @dataclass(slots=True)
 class InterlockMonitor:
     """Runs the interlocks.
 
     Attributes
     ----------
-    trip
-        Called with what happened; it stops the table. Calling it again while it is stopped does no harm. A crossed
-        limit is an `InterlockError`, which waits for a person; a lost device's own `DeviceError` and a
-        `StorageUnavailable` may pass.
+    observer
+        Stops the table.
     disk
         The data disk.
-    oldest_s
-        How long the oldest capture has waited to be measured.
-    no_capture_in_flight
-        Waits until no capture is in flight: cameras are asked nothing while they expose or deliver.
+    backlog
+        The captures that wait to be measured.
+    control
+        Knows whether a capture is in flight: cameras are asked nothing while they expose or deliver.
     iterations
         Rounds that the heartbeat loop has made: what a watchdog looks at.
     """
 
     context: AcquisitionContext
     limits: InterlockLimits
-    trip: Callable[[LabdaemonError], None]
+    observer: InterlockObserver
     disk: DataDisk
-    oldest_s: Callable[[], float]
-    no_capture_in_flight: Callable[[], Awaitable[object]]
+    backlog: Backlog
+    control: RunControl
     intervals: PollIntervals = field(default_factory=PollIntervals)
     iterations: int = 0
     _misses: dict[str, int] = field(default_factory=dict)
@@ -83,7 +102,7 @@ class InterlockMonitor:
                 except DeviceRefused as exc:
                     table.enabled, table.observer.line_down = False, True
                     if table.excitation is not None:
-                        self.trip(self._line_drop_error(trigger.driver.name, exc))
+                        self.observer.trip(self._line_drop_error(trigger.driver.name, exc))
                 except DeviceError as exc:
                     self._missed(trigger.driver.name, exc)
                 else:
@@ -130,7 +149,7 @@ class InterlockMonitor:
             self.context.table.observer.learn_noise(reading, duration_s)
             violation = interlocks.check_table(self.limits, excitation.amplitude_mm, now)
         if violation is not None:
-            self.trip(InterlockError(violation.message))
+            self.observer.trip(InterlockError(violation.message))
 
     async def _disk(self) -> None:
         """A table that moves while nothing can be recorded is brought to rest."""
@@ -139,21 +158,21 @@ class InterlockMonitor:
                 try:
                     await self.disk.check()
                 except StorageUnavailable as exc:
-                    self.trip(exc)
+                    self.observer.trip(exc)
             await self.context.clock.sleep(self.intervals.room_s)
 
     async def _workers(self) -> None:
         while True:
             if self.context.table.excitation is not None:
-                violation = interlocks.check_workers(self.limits, self.oldest_s())
+                violation = interlocks.check_workers(self.limits, self.backlog.oldest_s())
                 if violation is not None:
-                    self.trip(InterlockError(violation.message))
+                    self.observer.trip(InterlockError(violation.message))
             await self.context.clock.sleep(self.intervals.room_s)
 
     async def _cameras(self) -> None:
         while True:
             for name in self.context.rig.cameras:
-                await self.no_capture_in_flight()
+                await self.control.no_capture_in_flight.wait()
                 await self._check_camera(name)
             await self.context.clock.sleep(self.intervals.cameras_s)
 
@@ -166,9 +185,9 @@ class InterlockMonitor:
         self._misses[name] = 0
         violation = interlocks.check_camera(self.limits, name, status)
         if violation is not None and self.context.table.excitation is not None:
-            self.trip(InterlockError(violation.message))
+            self.observer.trip(InterlockError(violation.message))
 
     def _missed(self, device: str, exc: DeviceError) -> None:
         self._misses[device] = self._misses.get(device, 0) + 1
         if self._misses[device] >= MISSES and self.context.table.excitation is not None:
-            self.trip(exc)
+            self.observer.trip(exc)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from labdaemon.campaign.steps import Plan
+from labdaemon.events import CampaignData
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
@@ -45,6 +44,6 @@ def has_ended(journal: Journal, campaign: str, step: int) -> bool:
     return kept is not None and kept.state != "running"
 
 
-def outline(plan: Plan) -> dict[str, Any]:
+def outline(plan: Plan) -> CampaignData:
     """What the start of a campaign reports of it."""
-    return {"name": plan.name, "steps": len(plan.steps), "predicted_s": round(plan.predicted_s, 1)}
+    return CampaignData(name=plan.name, steps=len(plan.steps), predicted_s=round(plan.predicted_s, 1))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from contextlib import aclosing
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from labdaemon.campaign.manual_measurements import ManualMeasurements
 from labdaemon.campaign.manual_request import ManualRequest, capture_name
@@ -81,6 +81,14 @@ class ManualObserver:
         """Nothing waits for its end."""
 
 
+class RecoveryRequester(Protocol):
+    """Sees to it that what an interrupted capture left is settled before anything else runs."""
+
+    def request_recovery(self) -> None:
+        """A capture failed after it was fired."""
+        ...
+
+
 class ManualCaptures:
     """Takes captures as the rig is, under the standing manual campaign or under a paused one.
 
@@ -94,8 +102,8 @@ class ManualCaptures:
         Where faults are reported.
     window_s
         Frames of one outside release arrive from all cameras within this time.
-    on_failure
-        Called when a capture failed after it was fired: what it left is to be recovered.
+    recovery
+        Is asked for recovery when a capture failed after it was fired.
     """
 
     def __init__(
@@ -104,9 +112,9 @@ class ManualCaptures:
         measurements: ManualMeasurements,
         reporter: CampaignReporter,
         window_s: float,
-        on_failure: Callable[[], None] = lambda: None,
+        recovery: RecoveryRequester,
     ) -> None:
-        self._on_failure = on_failure
+        self._recovery = recovery
         self._context, self._reporter, self._window_s = context, reporter, window_s
         self.measurements = measurements
         self.turn: asyncio.Lock = asyncio.Lock()
@@ -183,7 +191,7 @@ class ManualCaptures:
                 fired.set_exception(exc)
                 return
             await self._reporter.fault(exc, campaign=id, step=None, action="recover")
-            self._on_failure()
+            self._recovery.request_recovery()
 
     async def _await_release(self, request: ManualRequest, campaign: str | None) -> CaptureRecord:
         """Have the next outside release be this capture."""

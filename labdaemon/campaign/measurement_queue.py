@@ -16,13 +16,13 @@ from typing import Any, Protocol
 from labdaemon.capture.discard import discard_stored
 from labdaemon.capture.paths import campaign_folder
 from labdaemon.capture.recorder import Recorder
-from labdaemon.clock import Clock
+from labdaemon.clock import Clock, parse_rfc3339
 from labdaemon.errors import LabdaemonError, SetupError, StorageError, StorageUnavailable
+from labdaemon.events import EnvelopeData, FaultData, TargetRow
 from labdaemon.journal import records, transitions
 from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 Rows = list[dict[str, Any]]
-DiskRetry = Callable[[Callable[[], Awaitable[object]]], Awaitable[object]]
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -88,6 +88,10 @@ class ResultObserver(Protocol):
         """The envelope of this capture or group is in the journal; called on the event loop."""
         ...
 
+    async def wait_for_disk(self, exc: StorageUnavailable) -> None:
+        """Wait, as long as need be, until the disk takes writes again."""
+        ...
+
 
 class MeasurementQueue:
     """Measures stored captures in the background and publishes their envelopes.
@@ -114,14 +118,12 @@ class MeasurementQueue:
         self._recorder, self._measurer, self._clock, self._data = recorder, measurer, clock, data
         self._slots = asyncio.Semaphore(depth)
         self.observer: ResultObserver | None = None
-        """Learns of each result."""
+        """Learns of each result, and reports a disk that refuses one."""
         self._tasks: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._since: dict[tuple[str, str], float] = {}
         self._group_sizes: dict[str, Mapping[str, int]] = {}
         self._writing = asyncio.Lock()
         self._broken: BaseException | None = None
-        self.with_disk_retry: DiskRetry = self._retry_until_written
-        """Does work that the disk may refuse for a while; the engine's own reports it."""
         self._start: asyncio.Task[None] | None = None
         self._checked: set[str] = set()
         """Campaigns whose first frames were looked at."""
@@ -286,21 +288,20 @@ class MeasurementQueue:
                 return
             else:
                 break
-        event = {
-            "capture": name,
-            "step": last.step if last.step != NO_STEP else None,
-            "label": last.label,
-            "frequency_hz": last.frequency_hz,
-            "excitation_amplitude_mm": last.amplitude_mm,
-            "opened_at": last.opened_at,
-            "exposure_s": last.exposure_s or None,
-            "targets": measured.envelope,
-        }
-        await self.with_disk_retry(
+        event = EnvelopeData(
+            capture=name,
+            step=last.step if last.step != NO_STEP else None,
+            label=last.label,
+            frequency_hz=last.frequency_hz,
+            excitation_amplitude_mm=last.amplitude_mm,
+            opened_at=parse_rfc3339(last.opened_at) if last.opened_at else None,
+            exposure_s=last.exposure_s or None,
+            targets=tuple(TargetRow.model_validate(row) for row in measured.envelope),
+        )
+        await self._until_written(
             lambda: self._recorder.write(
                 transitions.record_result,
                 campaign,
-                name,
                 names,
                 envelope=measured.envelope,
                 measurements=measured.measurements,
@@ -319,14 +320,8 @@ class MeasurementQueue:
         is_known = is_manual and (campaign, str(exc)) in self._reported
         if is_manual:
             self._reported.add((campaign, str(exc)))
-        payload = {
-            "device": "worker",
-            "capture": name,
-            "error": type(exc).__name__,
-            "message": str(exc),
-            "action": "kept",
-        }
-        await self.with_disk_retry(
+        payload = FaultData(device="worker", capture=name, error=type(exc).__name__, message=str(exc), action="kept")
+        await self._until_written(
             lambda: self._recorder.write(transitions.give_up_measuring, campaign, names, payload, is_known=is_known)
         )
 
@@ -349,9 +344,12 @@ class MeasurementQueue:
         folder = campaign_folder(self._data, campaign)
         await self._recorder.on_disk(self._measurer.write_results, folder, done)
 
-    async def _retry_until_written(self, work: Callable[[], Awaitable[object]]) -> object:
+    async def _until_written(self, work: Callable[[], Awaitable[object]]) -> object:
         while True:
             try:
                 return await work()
-            except StorageUnavailable:
-                await self._clock.sleep(DISK_POLL_S)
+            except StorageUnavailable as exc:
+                if self.observer is not None:
+                    await self.observer.wait_for_disk(exc)
+                else:
+                    await self._clock.sleep(DISK_POLL_S)

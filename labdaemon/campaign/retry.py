@@ -22,6 +22,7 @@ from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.recover import reconnect_suspects, recover
 from labdaemon.capture.table_stop import RestConfirmation
 from labdaemon.errors import DeviceError, InterlockError, LabdaemonError, SetupError, StorageUnavailable
+from labdaemon.events import StepData
 from labdaemon.journal import transitions
 from labdaemon.journal.records import CaptureRecord
 
@@ -169,6 +170,11 @@ class RetryingStepRunner:
                 self.needs_recovery = False
                 return
 
+    def request_recovery(self) -> None:
+        """A capture that no step follows was interrupted: whoever runs next recovers first."""
+        self.needs_recovery = True
+        self._control.changed.set()
+
     async def _wait_for_disk(self, campaign: str, step: Step, exc: StorageUnavailable) -> None:
         """The table rests for as long as the disk takes nothing."""
         self.activity = "waiting for the disk"
@@ -197,14 +203,14 @@ class RetryingStepRunner:
         await self._wait_for_window(step, monitor)
         self.activity, self.began_s = step.kind, self._context.clock.monotonic()
         write = self._context.recorder.write
-        payload = {"label": step.label, "kind": step.kind}
+        payload = StepData(step=step.index, label=step.label, kind=step.kind)
         excitation = {"frequency_hz": step.frequency_hz, "amplitude_mm": step.amplitude_mm}
-        await write(transitions.start_step, campaign, step.index, {**payload, **excitation})
+        await write(transitions.start_step, campaign, payload.model_copy(update=excitation))
         control = self._control
         observer = CampaignObserver(control, self._queue)
         runner = StepRunner(self._context, campaign, observer, window_s=self._policy.window_s)
         await control.run_step(self._catch_up_and_run(runner, step), monitor)
-        await write(transitions.end_step, campaign, step.index, payload)
+        await write(transitions.end_step, campaign, payload)
 
     async def _catch_up_and_run(self, runner: StepRunner, step: Step) -> None:
         await self._queue.enqueue_stored(runner.campaign)
@@ -231,9 +237,9 @@ class RetryingStepRunner:
                 await self._context.clock.sleep(self._policy.pause_s(failures))
                 return True
             case "skip":
-                payload = {"label": step.label, "kind": step.kind}
+                payload = StepData(step=step.index, label=step.label, kind=step.kind)
                 await self._reporter.with_disk_retry(
-                    lambda: self._context.recorder.write(transitions.end_step, campaign, step.index, payload, str(exc))
+                    lambda: self._context.recorder.write(transitions.end_step, campaign, payload, str(exc))
                 )
             case _ if self._control.requested == "go":
                 self._control.request(action, str(exc))

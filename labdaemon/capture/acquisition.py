@@ -22,9 +22,10 @@ from labdaemon.capture.paths import (
 )
 from labdaemon.capture.request import CaptureObserver, CaptureRequest
 from labdaemon.capture.rig import CALL_S
-from labdaemon.clock import rfc3339
+from labdaemon.clock import parse_rfc3339, rfc3339
 from labdaemon.durable import write_durably
 from labdaemon.errors import DataError, DeviceError, DeviceRefused, InterlockError
+from labdaemon.events import CaptureData, FrameFile
 from labdaemon.journal import card_records, transitions
 from labdaemon.journal.card_records import ClockOffset, OwedFile
 from labdaemon.journal.records import UNKNOWN_EXPOSURE_S, CaptureRecord, FrameRecord
@@ -126,22 +127,23 @@ async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: 
     if not capture.is_sharp:
         path = capture_folder(context.data, capture) / "capture.toml"
         await context.recorder.on_disk(write_durably, path, capture_toml(capture))
-    payload = {
-        "step": capture.step if capture.step >= 0 else None,
-        "label": capture.label,
-        "sharp": capture.is_sharp,
-        "opened_at": capture.opened_at,
-        "exposure_s": capture.exposure_s or None,
-        "group": capture.grouped,
-        "phase_rad": opening_phase(capture),
-        "frequency_hz": capture.frequency_hz,
-        "excitation_amplitude_mm": capture.amplitude_mm,
-        "frames": [
-            {"camera": frame.camera, "path": frame.path, "size_bytes": frame.size_bytes, "sha256": frame.sha256}
+    payload = CaptureData(
+        capture=capture.name,
+        step=capture.step if capture.step >= 0 else None,
+        label=capture.label,
+        sharp=capture.is_sharp,
+        opened_at=parse_rfc3339(capture.opened_at) if capture.opened_at else None,
+        exposure_s=capture.exposure_s or None,
+        group=capture.grouped,
+        phase_rad=opening_phase(capture),
+        frequency_hz=capture.frequency_hz,
+        excitation_amplitude_mm=capture.amplitude_mm,
+        frames=tuple(
+            FrameFile(camera=frame.camera, path=frame.path, size_bytes=frame.size_bytes, sha256=frame.sha256)
             for frame in frames
-        ],
-    }
-    await context.recorder.write(transitions.complete_capture, capture.campaign, capture.name, payload)
+        ),
+    )
+    await context.recorder.write(transitions.complete_capture, capture.campaign, payload)
     return replace(capture, state="stored")
 
 

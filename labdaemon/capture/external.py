@@ -16,6 +16,7 @@ from labdaemon.capture.pairing import ReleasePairing
 from labdaemon.capture.paths import set_aside_path, with_opening
 from labdaemon.capture.request import CaptureObserver, CaptureRequest
 from labdaemon.clock import rfc3339
+from labdaemon.events import FaultData
 from labdaemon.journal import transitions
 
 WAIT_SLICE_S = 1.0
@@ -99,7 +100,7 @@ class ExternalReleases:
             state="set_aside",
         )
         message = f"{file.name} came alone, without the other cameras' frames, and was set aside"
-        payload = {"device": name, "error": "DeviceError", "message": message, "action": "set aside"}
+        payload = FaultData(device=name, error="DeviceError", message=message, action="set aside")
         await self._context.recorder.write(transitions.fault, self._campaign, payload)
 
 

@@ -19,7 +19,7 @@ from labdaemon.capture.pairing import SD_S, CameraClocks, FileOrigin, Opening
 from labdaemon.capture.paths import set_aside_path
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.rig import CALL_S, DeviceHandle, Rig
-from labdaemon.clock import Clock, rfc3339
+from labdaemon.clock import Clock, parse_rfc3339, rfc3339
 from labdaemon.errors import DeviceError, TransportError
 from labdaemon.imaging.raw_content import Kind
 from labdaemon.journal import card_records
@@ -59,7 +59,7 @@ class FrameContext:
 
     def opening(self, owed: OwedFile) -> Opening:
         """An opening of the journal on the monotonic clock."""
-        passed_s = (self.clock.now() - parse_time(owed.opened_at)).total_seconds()
+        passed_s = (self.clock.now() - parse_rfc3339(owed.opened_at)).total_seconds()
         return Opening(owed.campaign, owed.capture, self.clock.monotonic() - passed_s, owed.exposure_s)
 
     def owed(self, camera: str) -> list[Opening]:
@@ -71,16 +71,11 @@ class FrameContext:
         return opening.opened_s + 2.0 * opening.exposure_s + self.timeout_s()
 
 
-def parse_time(text: str) -> datetime:
-    """A time of the journal."""
-    return datetime.fromisoformat(text)
-
-
 def load_clocks(context: FrameContext) -> None:
     """Take the cameras' clock offsets from the journal, after a restart."""
     since = context.clock.now() - timedelta(seconds=context.clock.monotonic())
     for camera, known in card_records.clock_offsets(context.recorder.journal).items():
-        measured_s = (parse_time(known.measured_at) - since).total_seconds()
+        measured_s = (parse_rfc3339(known.measured_at) - since).total_seconds()
         context.clocks.load(camera, known.offset_s + since.timestamp(), known.exposure_s, measured_s)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Concatenate, ParamSpec, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from labdaemon.capture.device_executor import DeviceExecutor
 from labdaemon.journal.journal import Journal
@@ -17,6 +17,14 @@ for, however long the disk takes. The interlock monitor sees to it that the tabl
 move meanwhile."""
 
 
+class CommitObserver(Protocol):
+    """Follows what is committed."""
+
+    def wake(self) -> None:
+        """Something was committed; called on the event loop, so it only notes that it has to look."""
+        ...
+
+
 class Recorder:
     """Writes transitions and files, and reports when there is something to publish.
 
@@ -26,22 +34,22 @@ class Recorder:
         Read it directly; write through `write`.
     executor
         The journal's own thread.
-    committed
-        Called on the event loop after each commit.
     files, work
         The threads for files and for what only takes long; the journal's where there is no other.
+    observers
+        Who learns of each commit.
     """
 
     def __init__(
         self,
         journal: Journal,
         executor: DeviceExecutor,
-        committed: Callable[[], None] = lambda: None,
         files: DeviceExecutor | None = None,
         work: DeviceExecutor | None = None,
+        observers: Sequence[CommitObserver] = (),
     ) -> None:
         self.journal = journal
-        self.committed = committed
+        self.observers: Sequence[CommitObserver] = tuple(observers)
         self._executor, self._files, self._work = executor, files or executor, work or executor
 
     async def write(self, transition: Callable[Concatenate[Journal, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -53,7 +61,8 @@ class Recorder:
             The disk does not take it now; nothing was written.
         """
         result = await self._executor.call(lambda: transition(self.journal, *args, **kwargs), UNLIMITED_S)
-        self.committed()
+        for observer in self.observers:
+            observer.wake()
         return result
 
     async def on_disk(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
 from functools import partial
+from typing import Protocol
 
 from labdaemon.capture.abilities import AmplitudeTrimmer
 from labdaemon.capture.devices import GaugeReading
@@ -40,6 +40,14 @@ def _trim(driver: object, factor: float) -> None:
     driver.trim(factor)
 
 
+class MotionGuard(Protocol):
+    """A process of its own that stops the table when this one dies."""
+
+    def arm(self) -> None:
+        """The table is about to move; what this raises keeps it at rest."""
+        ...
+
+
 class Table:
     """The shaker table and what stands on it.
 
@@ -64,10 +72,8 @@ class Table:
         """What it was last set to; None at rest."""
         self.settled: SettlingResult | None = None
         """What the gauges said when it had settled there."""
-        self.on_stop: Callable[[], None] = lambda: None
-        """Called when a stop is about to be sent."""
-        self.before_motion: Callable[[], None] = lambda: None
-        """Called before the first command that moves it is sent; what it raises keeps the table at rest."""
+        self.guard: MotionGuard | None = None
+        """Is armed before the first command that moves the table; None where no guardian can be had."""
         self.may_move: bool = True
         """False once rest was confirmed, until something is sent that moves it: what a guardian goes by."""
         self.observer: TableObserver = TableObserver(rig, clock)
@@ -140,7 +146,6 @@ class Table:
         """
         self._stops += 1
         self.excitation = self.settled = None
-        self.on_stop()
         async with self._stopping:
             try:
                 rest = await bring_to_rest(
@@ -211,7 +216,8 @@ class Table:
             raise DeviceError(
                 f"nothing is moved before the table was seen to rest: {self.unconfirmed}", device="shaker"
             )
-        self.before_motion()
+        if self.guard is not None:
+            self.guard.arm()
         self.may_move = True
         await self._enable()
         self.excitation, self.settled = excitation, None

@@ -8,7 +8,8 @@
 >>> event.kind, event.data.device
 ('fault', 'left')
 
-The journal checks each event against its model when the event is made and stores the JSON as it came. Readers ignore
+The daemon makes each event from its model, and the journal stores the model's JSON: what was stated, and nothing that
+was left out. Readers ignore
 members that they do not know; a kind that they do not know is an `UnknownEvent`. A member that an earlier version did
 not write is None.
 """
@@ -36,6 +37,7 @@ from labdaemon.events.payloads import (
     CampaignData,
     CaptureData,
     EnvelopeData,
+    EventPart,
     FaultData,
     FrameFile,
     StatusData,
@@ -57,6 +59,7 @@ __all__ = [
     "EnvelopeData",
     "EnvelopeMeasured",
     "Event",
+    "EventPart",
     "FaultData",
     "FaultReported",
     "FrameFile",

@@ -68,18 +68,19 @@ def parse_event(message: Mapping[str, Any] | str | bytes) -> Event:
         raise DataError(f"this is no event: {exc}") from exc
 
 
-def check_payload(kind: str, text: str) -> None:
-    """Check the JSON of an event's ``data`` when the event is made.
+def check_payload(kind: str, data: EventPart) -> None:
+    """Check that this is what an event of the kind says, when the event is made.
 
     Raises
     ------
     ValueError
-        No event has this kind, or ``data`` is not what the kind's model says: a mistake in the program.
+        No event has this kind, or its ``data`` is of another model: a mistake in the program.
     """
     model = _PAYLOADS.get(kind)
     if model is None:
         raise ValueError(f"no event has the kind {kind!r}")
-    model.model_validate_json(text)
+    if type(data) is not model:
+        raise ValueError(f"an event {kind!r} carries {model.__name__}, not {type(data).__name__}")
 
 
 def event_schema(reference: str = "#/$defs/") -> dict[str, Any]:

@@ -4,18 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema, model_validator
+
+from labdaemon.clock import rfc3339
+from labdaemon.plain_json import plain_text
 
 if TYPE_CHECKING:
     from labdaemon.envelope import Envelope
+
+Timestamp = Annotated[
+    datetime,
+    PlainSerializer(rfc3339, return_type=str, when_used="json"),
+    WithJsonSchema({"type": "string", "format": "date-time"}),
+]
+"""A time in UTC that goes to JSON as every time in files and messages does."""
 
 
 class EventPart(BaseModel):
     """What every model here has in common: it does not change, and it ignores members that it does not know."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="ignore")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _spell_out(cls, values: Any) -> Any:
+        """Spell out halves of surrogate pairs: no file name may keep a fault from being recorded."""
+        if not isinstance(values, dict):
+            return values
+        return {key: plain_text(value) if isinstance(value, str) else value for key, value in values.items()}
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """What was stated of it, and nothing that was left out, as JSON's types."""
+        return self.model_dump(mode="json", exclude_unset=True)
 
 
 class CampaignData(EventPart):
@@ -118,7 +140,7 @@ class CaptureData(EventPart):
     label: str | None = None
     step: int | None = None
     sharp: bool | None = None
-    opened_at: datetime | None = None
+    opened_at: Timestamp | None = None
     exposure_s: float | None = None
     group: str | None = None
     phase_rad: float | None = None
@@ -173,7 +195,7 @@ class TargetRow(EventPart):
     sd_bz_mm: float | None = None
     residual_ratio: float | None = None
     flags: tuple[str, ...] = ()
-    sign: float | None = None
+    sign: int | None = None
 
 
 class EnvelopeData(EventPart):
@@ -201,7 +223,7 @@ class EnvelopeData(EventPart):
     label: str | None = None
     frequency_hz: float | None = None
     excitation_amplitude_mm: float | None = None
-    opened_at: datetime | None = None
+    opened_at: Timestamp | None = None
     exposure_s: float | None = None
 
     def envelope(self) -> Envelope:

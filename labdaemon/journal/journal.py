@@ -57,12 +57,9 @@ class Transaction:
         ValueError, TypeError
             `data` is not JSON, NaN included.
         """
-        return self.emit_json(kind, campaign, dump_json(data))
-
-    def emit_json(self, kind: str, campaign: str | None, data: str) -> int:
-        """The same with `data` as JSON already; it is stored and sent as it is."""
+        text = dump_json(data)
         self.last_seq += 1
-        self.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, data)
+        self.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?)", self.last_seq, self.at, kind, campaign, text)
         return self.last_seq
 
 

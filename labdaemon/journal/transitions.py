@@ -10,14 +10,16 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from labdaemon.events import check_payload
+from labdaemon.events import CampaignData, CaptureData, EnvelopeData, EventPart, FaultData, StepData, check_payload
 from labdaemon.journal.card_records import CardIdentity, ClockOffset, add_card_file, keep_offsets
 from labdaemon.journal.journal import Journal, Transaction
 from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
-from labdaemon.plain_json import dump_json
 
 MANUAL = "0000-manual"
 """Captures that a person or an outside system takes while no campaign runs."""
+
+NOTHING_MORE = CampaignData()
+"""A campaign's change of state that needs no more than its name."""
 
 CAMPAIGN_EVENTS: dict[CampaignState, str] = {
     "running": "campaign.started",
@@ -63,7 +65,11 @@ def open_manual(journal: Journal) -> str:
 
 
 def move_campaign(
-    journal: Journal, /, campaign: str, state: CampaignState, reason: str | None = None, **data: Any
+    journal: Journal,
+    campaign: str,
+    state: CampaignState,
+    reason: str | None = None,
+    data: CampaignData = NOTHING_MORE,
 ) -> bool:
     """Put a campaign into another state; running again is reported as ``campaign.resumed``.
 
@@ -81,7 +87,7 @@ def move_campaign(
         if state == "running" and reported is not None:
             kind = "campaign.resumed"
         write.execute("UPDATE campaigns SET state = ?, reason = ? WHERE id = ?", state, reason, campaign)
-        _emit(write, kind, campaign, {**data, **({"reason": reason} if reason else {})})
+        _emit(write, kind, campaign, data.model_copy(update={"reason": reason} if reason else {}))
     return True
 
 
@@ -91,17 +97,18 @@ def accept_digest(journal: Journal, campaign: str, digest: str) -> None:
         write.execute("UPDATE campaigns SET digest = ? WHERE id = ?", digest, campaign)
 
 
-def start_step(journal: Journal, campaign: str, step: int, data: Mapping[str, Any]) -> int:
+def start_step(journal: Journal, campaign: str, data: StepData) -> int:
     """Begin a step, or begin it again; returns which attempt this is, from 1."""
     with journal.transaction("step.started") as write:
-        row = write.execute("SELECT attempts FROM steps WHERE campaign = ? AND step = ?", campaign, step).fetchone()
+        known = "SELECT attempts FROM steps WHERE campaign = ? AND step = ?"
+        row = write.execute(known, campaign, data.step).fetchone()
         attempt = 1 + (row[0] if row else 0)
-        write.execute("INSERT OR REPLACE INTO steps VALUES (?, ?, 'running', ?, NULL)", campaign, step, attempt)
-        _emit(write, "step.started", campaign, {"step": step, "attempt": attempt, **data})
+        write.execute("INSERT OR REPLACE INTO steps VALUES (?, ?, 'running', ?, NULL)", campaign, data.step, attempt)
+        _emit(write, "step.started", campaign, data.model_copy(update={"attempt": attempt}))
     return attempt
 
 
-def end_step(journal: Journal, campaign: str, step: int, data: Mapping[str, Any], skipped: str | None = None) -> None:
+def end_step(journal: Journal, campaign: str, data: StepData, skipped: str | None = None) -> None:
     """Complete a step, or skip it for the given reason."""
     kind = "step.completed" if skipped is None else "step.skipped"
     with journal.transaction(kind) as write:
@@ -110,11 +117,11 @@ def end_step(journal: Journal, campaign: str, step: int, data: Mapping[str, Any]
             "INSERT INTO steps VALUES (?, ?, ?, 0, ?) "
             "ON CONFLICT DO UPDATE SET state = excluded.state, reason = excluded.reason",
             campaign,
-            step,
+            data.step,
             state,
             skipped,
         )
-        _emit(write, kind, campaign, {"step": step, **data, **({"reason": skipped} if skipped is not None else {})})
+        _emit(write, kind, campaign, data.model_copy(update={"reason": skipped} if skipped is not None else {}))
 
 
 def intend_capture(journal: Journal, capture: CaptureRecord) -> None:
@@ -243,11 +250,11 @@ def store_frame(journal: Journal, frame: FrameRecord, file: CardIdentity | None 
         )
 
 
-def complete_capture(journal: Journal, campaign: str, name: str, data: Mapping[str, Any]) -> None:
+def complete_capture(journal: Journal, campaign: str, data: CaptureData) -> None:
     """Every camera's frame is stored."""
     with journal.transaction("capture.completed") as write:
-        write.execute("UPDATE captures SET state = 'stored' WHERE campaign = ? AND name = ?", campaign, name)
-        _emit(write, "capture.completed", campaign, {"capture": name, **data})
+        write.execute("UPDATE captures SET state = 'stored' WHERE campaign = ? AND name = ?", campaign, data.capture)
+        _emit(write, "capture.completed", campaign, data)
 
 
 def discard_capture(journal: Journal, campaign: str, name: str, reason: str, moved: Mapping[str, str]) -> None:
@@ -266,19 +273,19 @@ def discard_capture(journal: Journal, campaign: str, name: str, reason: str, mov
 def record_result(
     journal: Journal,
     campaign: str,
-    name: str,
     members: Sequence[str],
     *,
     envelope: list[dict[str, Any]],
     measurements: list[dict[str, Any]],
-    event: Mapping[str, Any],
+    event: EnvelopeData,
     replace: bool = False,
 ) -> bool:
     """Keep an envelope and publish it, once: False, and nothing changed, if it had been kept before.
 
-    `name` is the capture's, or its group's; `members` are the captures that it was measured from. With `replace` an
-    earlier result of this name gives way: a manual group that has a member more.
+    `event` has the capture's name, or its group's; `members` are the captures that it was measured from. With `replace`
+    an earlier result of this name gives way: a manual group that has a member more.
     """
+    name = event.capture
     with journal.transaction("envelope") as write:
         if replace:
             write.execute("DELETE FROM results WHERE campaign = ? AND name = ?", campaign, name)
@@ -300,7 +307,7 @@ def record_result(
 
 
 def give_up_measuring(
-    journal: Journal, campaign: str, members: Sequence[str], fault: Mapping[str, Any], *, is_known: bool = False
+    journal: Journal, campaign: str, members: Sequence[str], fault: FaultData, *, is_known: bool = False
 ) -> None:
     """Captures whose frames are stored but cannot be measured; they are kept, and reported as a fault.
 
@@ -310,7 +317,7 @@ def give_up_measuring(
         for member in members:
             write.execute(
                 "UPDATE captures SET state = 'unmeasured', reason = ? WHERE campaign = ? AND name = ?",
-                str(fault.get("message", "")),
+                fault.message or "",
                 campaign,
                 member,
             )
@@ -318,7 +325,7 @@ def give_up_measuring(
             _emit(write, "fault", campaign, fault)
 
 
-def fault(journal: Journal, campaign: str | None, data: Mapping[str, Any]) -> None:
+def fault(journal: Journal, campaign: str | None, data: FaultData) -> None:
     """Report a fault; `data` says on which device, what happened and what is done about it."""
     with journal.transaction("fault") as write:
         _emit(write, "fault", campaign, data)
@@ -336,11 +343,10 @@ def probe(journal: Journal) -> None:
         write.execute("INSERT OR REPLACE INTO meta VALUES ('alive_at', ?)", write.at)
 
 
-def _emit(write: Transaction, kind: str, campaign: str | None, data: Mapping[str, Any]) -> None:
-    """Append an event that its model (`labdaemon.events`) accepts; the JSON is stored as it is."""
-    text = dump_json(dict(data))
-    check_payload(kind, text)
-    write.emit_json(kind, campaign, text)
+def _emit(write: Transaction, kind: str, campaign: str | None, data: EventPart) -> None:
+    """Append an event of this kind; its model's JSON is stored as it is."""
+    check_payload(kind, data)
+    write.emit(kind, campaign, data.to_json_dict())
 
 
 def _answer(write: Transaction, request_id: str | None, method: str, reply: Mapping[str, Any]) -> None:

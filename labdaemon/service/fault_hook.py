@@ -19,6 +19,7 @@ from typing import Any
 
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.errors import ConfigError, LabdaemonError
+from labdaemon.events import FaultData
 from labdaemon.hook import HookError, run_hook
 from labdaemon.journal.journal import Journal
 from labdaemon.off_loop import off_loop
@@ -91,10 +92,10 @@ class FaultHook:
         """Something was committed. Cheap; call it on the loop's thread."""
         self._changed.set()
 
-    def unrecorded(self, campaign: str | None, data: Mapping[str, Any]) -> None:
+    def fault_unrecorded(self, campaign: str | None, data: FaultData) -> None:
         """A fault that the journal could not take, as of a full disk."""
         event = {"v": 1, "seq": None, "at": rfc3339(self._clock.now()), "kind": "fault", "campaign": campaign}
-        self._unsent.append({**event, "data": dict(data)})
+        self._unsent.append({**event, "data": data.to_json_dict()})
         self._changed.set()
 
     async def run(self) -> None:

@@ -41,7 +41,7 @@ async def guarded_table(
     if guardian is None:
         yield None
         return
-    table.before_motion = guardian.arm
+    table.guard = guardian
     try:
         await guardian.start()
     except Exception as exc:  # whatever is short at the moment: until there is one, nothing moves

@@ -73,13 +73,12 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
     publisher = EventPublisher(config.service.events, context.journal, status, context.clock)
     hook = _fault_hook(context, start.place)
 
-    def committed() -> None:
-        publisher.wake()
-        if hook is not None:
-            hook.wake()
-
     recorder = Recorder(
-        context.journal, ThreadExecutor("journal"), committed, ThreadExecutor("data disk"), ThreadExecutor("plans")
+        context.journal,
+        ThreadExecutor("journal"),
+        ThreadExecutor("data disk"),
+        ThreadExecutor("plans"),
+        observers=[publisher] if hook is None else [publisher, hook],
     )
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
@@ -95,9 +94,8 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         context.table_monitor.observer = engine
         start.checks |= _checks(engine)
         context.deferred.serve(handlers(engine, submitted, status, rig), context.journal)
-        if hook is not None:
-            engine.reporter.unrecorded = hook.unrecorded
-        return await _run_parts(context, engine, publisher, start, hook)
+        engine.reporter.observer = hook
+        return await _run_parts(context, engine, start, hook)
     finally:
         publisher.close()
         pool.close()
@@ -176,9 +174,7 @@ def _early_handlers(
     }
 
 
-async def _run_parts(
-    context: DaemonContext, engine: Engine, publisher: EventPublisher, start: StartupSequence, hook: FaultHook | None
-) -> int:
+async def _run_parts(context: DaemonContext, engine: Engine, start: StartupSequence, hook: FaultHook | None) -> int:
     parts: list[asyncio.Future[Any]] = [*start.parts, asyncio.create_task(engine.run())]
     if hook is not None:
         parts.append(asyncio.create_task(supervise("on_fault", hook.run, context.clock)))

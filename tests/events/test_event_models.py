@@ -10,14 +10,21 @@ import pytest
 from pydantic import ValidationError
 
 import labdaemon as ld
-from labdaemon.clock import SimulatedClock
+from labdaemon.clock import SimulatedClock, parse_rfc3339
 from labdaemon.errors import DataError
 from labdaemon.events import (
     KINDS,
+    CampaignData,
     CampaignStarted,
+    CaptureData,
+    EnvelopeData,
     EnvelopeMeasured,
+    FaultData,
     FaultReported,
+    StatusData,
     StatusReport,
+    StepData,
+    TargetRow,
     UnknownEvent,
     check_payload,
     event_schema,
@@ -108,12 +115,13 @@ def test_status_reads_what_a_starting_daemon_sends() -> None:
 def test_the_journal_checks_an_event_when_it_is_made(tmp_path) -> None:
     journal = Journal(tmp_path, SimulatedClock())
     with pytest.raises(ValidationError, match="capture"):
-        transitions.record_result(journal, "c", "c1", ["c1"], envelope=[], measurements=[], event={"targets": []})
-    assert journal.last_seq == 0
-    fault = {"device": 3, "message": "/data/\udcff: is full", "later": 1}  # a driver of a lab's own; no UTF-8
-    transitions.fault(journal, None, fault)
+        EnvelopeData.model_validate({"targets": []})
+    fault = {"device": 3, "message": "/data/\udcff: is full", "step": None}  # a driver of a lab's own; no UTF-8
+    transitions.fault(journal, None, FaultData.model_validate(fault))
     [event] = journal.events_after(0, 10)
-    assert event.data == {"device": 3, "message": "/data/\\udcff: is full", "later": 1}
+    assert event.data == {"device": "3", "message": "/data/\\udcff: is full", "step": None}, (
+        "what is not stated is left out"
+    )
     typed = parse_event(event.as_dict())
     assert isinstance(typed, FaultReported)
     assert typed.data.device == "3"
@@ -122,4 +130,32 @@ def test_the_journal_checks_an_event_when_it_is_made(tmp_path) -> None:
 
 def test_a_kind_that_no_model_has_is_a_mistake() -> None:
     with pytest.raises(ValueError, match=r"no event has the kind 'step\.stopped'"):
-        check_payload("step.stopped", "{}")
+        check_payload("step.stopped", StepData(step=1))
+
+
+def test_a_kind_takes_its_own_model_only() -> None:
+    for kind in KINDS:
+        right = type(parse_event(message(kind, LEAST[kind])).data)
+        assert isinstance(right, type)
+        for other in (CampaignData(), StepData(step=1), CaptureData(capture="c"), FaultData(), StatusData()):
+            if type(other) is right:
+                check_payload(kind, other)
+            else:
+                with pytest.raises(ValueError, match=right.__name__):
+                    check_payload(kind, other)
+
+
+def test_times_go_to_json_in_the_form_of_all_times() -> None:
+    """Six digits of a second, also where they are zeros: the form of files, records and messages."""
+    moment = datetime(2026, 5, 4, 10, 11, 12, tzinfo=UTC)
+    assert CaptureData(capture="c", opened_at=moment).to_json_dict() == {
+        "capture": "c", "opened_at": "2026-05-04T10:11:12.000000Z",
+    }  # fmt: skip
+    assert parse_rfc3339(AT) == datetime(2026, 5, 4, 10, 11, 12, 123456, UTC)
+    assert EnvelopeData(capture="c", opened_at=parse_rfc3339(AT)).to_json_dict()["opened_at"] == AT
+
+
+def test_a_row_goes_to_json_as_it_came() -> None:
+    row = {"capture": "c1", "target": "T01", "x_mm": 1.5, "ax_mm": None, "flags": ["at_rest"], "sign": -1}
+    payload = EnvelopeData(capture="c1", targets=(TargetRow.model_validate(row),))
+    assert payload.to_json_dict()["targets"] == [row]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, invariant, multiple, rule
 
 from labdaemon.clock import SimulatedClock
+from labdaemon.events import CaptureData, EnvelopeData, FaultData
 from labdaemon.journal import records, transitions
 from labdaemon.journal.card_records import CardIdentity
 from labdaemon.journal.journal import Journal
@@ -108,7 +109,7 @@ class JournalMachine(RuleBasedStateMachine):
     def complete(self, capture) -> None:
         if self.capture_states[capture] == "discarded":
             return  # nothing becomes of it any more
-        transitions.complete_capture(self.journal, *capture, {})
+        transitions.complete_capture(self.journal, capture[0], CaptureData(capture=capture[1]))
         self.capture_states[capture] = "stored"
         self.kinds.append("capture.completed")
 
@@ -118,7 +119,7 @@ class JournalMachine(RuleBasedStateMachine):
         if self.capture_states[capture] == "discarded":
             return
         kept = transitions.record_result(
-            self.journal, id, name, [name], envelope=[{"ax_mm": 0.25}], measurements=[], event={"capture": name}
+            self.journal, id, [name], envelope=[{"ax_mm": 0.25}], measurements=[], event=EnvelopeData(capture=name)
         )
         assert kept == (name not in self.results.get(id, []))
         if kept:
@@ -145,7 +146,7 @@ class JournalMachine(RuleBasedStateMachine):
 
         self.journal.listen(crash)
         try:
-            transitions.fault(self.journal, id, {"message": "never kept"})
+            transitions.fault(self.journal, id, FaultData(message="never kept"))
         except Crash:
             self.reopen()
         else:

@@ -14,6 +14,7 @@ import pytest
 
 from labdaemon.clock import SystemClock
 from labdaemon.errors import ConfigError
+from labdaemon.events import FaultData
 from labdaemon.journal import transitions
 from labdaemon.journal.journal import Journal
 from labdaemon.rig_sections import ServiceSection
@@ -63,15 +64,15 @@ def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path
     async def scenario(hook: FaultHook, journal: Journal) -> None:
         id = transitions.submit(journal, "night", "", "")
         transitions.move_campaign(journal, id, "running")
-        transitions.fault(journal, id, {"device": "shaker", "message": "port is gone"})
+        transitions.fault(journal, id, FaultData(device="shaker", message="port is gone"))
         transitions.move_campaign(journal, id, "paused", "port is gone")
         hook.wake()
         await until(lambda: len(list(kept.iterdir())) == 1)
         for number in range(20):
-            transitions.fault(journal, id, {"message": f"again {number}"})
+            transitions.fault(journal, id, FaultData(message=f"again {number}"))
             hook.wake()
             await asyncio.sleep(0.01)
-        hook.unrecorded(None, {"device": "disk", "message": "the disk is full"})
+        hook.fault_unrecorded(None, FaultData(device="disk", message="the disk is full"))
         await until(lambda: sum(len(run["events"]) for run in runs(kept) if run) >= 23)
 
     serve(tmp_path, [sys.executable, "-c", KEEP, str(kept)], scenario)
@@ -95,7 +96,7 @@ def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path
 def test_a_command_that_hangs_fails_or_babbles_holds_nothing_up(tmp_path: Path, source: str):
     async def scenario(hook: FaultHook, journal: Journal) -> None:
         for _ in range(3):
-            transitions.fault(journal, None, {"message": "x" * 5000})
+            transitions.fault(journal, None, FaultData(message="x" * 5000))
             hook.wake()
             before = time.monotonic()
             await asyncio.sleep(0.2)
