@@ -75,6 +75,65 @@ class ServiceSection(TomlSection):
         return self
 
 
+LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
+
+
+class ServerSection(TomlSection):
+    """Where a server listens that is no ZeroMQ socket, and who may use it."""
+
+    scheme: ClassVar[str]
+
+    address: str
+    token_file: Written | None = None
+    """File whose first line makes an operator of who says it; readable by its owner only. Relative to the rig file."""
+
+    @property
+    def host(self) -> str:
+        """Name or number that it listens under, in small letters."""
+        return self.address.partition("://")[2].rpartition(":")[0].strip("[]").lower()
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine reaches it."""
+        return self.host in LOOPBACK_NAMES or re.fullmatch(r"127(\.\d{1,3}){3}", self.host) is not None
+
+    @field_validator("address")
+    @classmethod
+    def _an_address(cls, address: str) -> str:
+        found = re.fullmatch(rf"{cls.scheme}://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):(\d{{1,5}}|\*)", address)
+        if found is None or (found[2] != "*" and int(found[2]) >= 1 << 16):
+            raise ValueError(f"{address!r} is no address; write {cls.scheme}://127.0.0.1:PORT")
+        return address
+
+    @model_validator(mode="after")
+    def _token_off_loopback(self) -> ServerSection:
+        if not self.is_loopback and self.token_file is None:
+            raise ValueError(
+                f"{self.address} is off loopback; name a token_file, or use {self.scheme}://127.0.0.1:PORT"
+            )
+        return self
+
+
+class GatewaySection(ServerSection):
+    """The text gateway (SCPI over TCP); off where the rig file has no such section."""
+
+    scheme: ClassVar[str] = "tcp"
+
+    address: str = "tcp://127.0.0.1:5025"
+
+
+class WebSection(ServerSection):
+    """The web server; off where the rig file has no such section. Commands need the token of `token_file`."""
+
+    scheme: ClassVar[str] = "http"
+
+    address: str = "http://127.0.0.1:5580"
+    observer_token_file: Written | None = None
+    """File whose first line lets a client read, where reading needs a token: off loopback."""
+    hosts: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9.:-]+$")], ...] = ()
+    """Further names under which it may be asked, without port."""
+
+
 class DriverSection(TomlSection):
     """A section whose other keys belong to the driver that it names."""
 
@@ -249,3 +308,5 @@ class RigSections(TomlSection):
     processing: ProcessingSection = ProcessingSection()
     guardian: GuardianSection = GuardianSection()
     interlocks: InterlocksSection = InterlocksSection()
+    gateway: GatewaySection | None = None
+    web: WebSection | None = None

@@ -6,6 +6,7 @@ import hashlib
 import json
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ from labdaemon.capture.abilities import ExcitationChecker, SettingsSource
 from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
 from labdaemon.errors import ConfigError, LimitError
 from labdaemon.rig_sections import DriverSection, RigSections
+from labdaemon.stream.access_token import AccessToken
 from labdaemon.tomlfile import nearest, parse_model, read_toml
 
 RAW_BYTES_A_PIXEL = 2
@@ -64,7 +66,8 @@ class RigConfig(RigSections):
     @property
     def digest(self) -> str:
         """SHA-256 of what results and safety depend on; addresses, folders and worker counts may change freely."""
-        aside: Any = {"service": True, "source": True, "guardian": True, "processing": {"workers", "deadline_s"}}
+        aside: Any = dict.fromkeys(("service", "source", "guardian", "gateway", "web"), True)
+        aside["processing"] = {"workers", "deadline_s"}
         parts = self.model_dump(mode="json", exclude=aside)
         control = self.path(self.control.file)
         parts["control_csv"] = hashlib.sha256(control.read_bytes()).hexdigest() if control.exists() else None
@@ -101,6 +104,7 @@ def load_rig(path: Path | str, *, check_drivers: bool = True, check_files: bool 
     _check_names(rig)
     if check_files:
         _check_files(rig)
+        _check_servers(rig)
     if check_drivers:
         for key, kind, name, section in _driver_sections(rig):
             settings = rig.shaker_settings() if kind == "shaker" else section.settings
@@ -240,6 +244,20 @@ def _check_files(rig: RigConfig) -> None:
     control = read_control(rig.path(rig.control.file), rig.control.size_mm)
     if rig.targets.file is not None:
         read_targets(rig.path(rig.targets.file), control)
+
+
+def _check_servers(rig: RigConfig) -> None:
+    """Refuse servers that could not serve: a token that others read, and a package that is not installed."""
+    named = [("gateway.token_file", rig.gateway.token_file if rig.gateway else None)]
+    if rig.web is not None:
+        named += [("web.token_file", rig.web.token_file), ("web.observer_token_file", rig.web.observer_token_file)]
+        missing = [name for name in ("starlette", "uvicorn") if find_spec(name) is None]
+        if missing:
+            message = f"{' and '.join(missing)} not installed; run: pip install 'labdaemon[web]'"
+            raise ConfigError(message, source=rig.source, key="web")
+    for key, written in named:
+        if written is not None:
+            AccessToken(rig.path(written), key)
 
 
 def _check_lenses(rig: RigConfig) -> None:

@@ -33,6 +33,7 @@ from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
 from labdaemon.service.openrpc import openrpc_document
 from labdaemon.service.pool_measurer import PoolMeasurer
+from labdaemon.service.side_servers import SideServers
 from labdaemon.service.startup import ExposureSteps, StartupSequence
 from labdaemon.service.status import status_of
 from labdaemon.service.supervise import as_failure, supervise
@@ -73,23 +74,27 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
     publisher = EventPublisher(config.service.events, context.journal, status, context.clock)
     hook = _fault_hook(context, start.place)
 
+    servers = SideServers(config, context.commands.dispatcher.answer, context.journal)
     recorder = Recorder(
         context.journal,
         ThreadExecutor("journal"),
         ThreadExecutor("data disk"),
         ThreadExecutor("plans"),
-        observers=[publisher] if hook is None else [publisher, hook],
+        observers=[publisher, servers, *([] if hook is None else [hook])],
     )
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
         publisher.bind()
+        await servers.bind()
+        addresses = {"events": publisher.address, **servers.addresses()}
+        start.parts += servers.start(context.clock)
         start.parts += [asyncio.create_task(supervise("events", publisher.run, context.clock)), context.keeping]
         start.announce = _only_once(lambda: context.ready(context.commands.address, publisher.address))
-        context.deferred.serve_early(_early_handlers(context, start, publisher, status), start.refusal)
+        context.deferred.serve_early(_early_handlers(context, start, addresses, status), start.refusal)
         identities, steps = await start.reach_devices(context.rig, context.identities)
         engine = _engine(context, recorder, pool, partial(_plan, context, steps))
         await _follow_guardian(context, engine)
-        rig = _describe_rig(context, identities, publisher.address)
+        rig = _describe_rig(context, identities, addresses)
         submitted = partial(_plan, context, steps, check_disk=True)
         context.table_monitor.observer = engine
         start.checks |= _checks(engine)
@@ -98,6 +103,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         return await _run_parts(context, engine, start, hook)
     finally:
         publisher.close()
+        servers.close()
         pool.close()
         recorder.close()
 
@@ -145,7 +151,7 @@ def _fault_hook(context: DaemonContext, place: Mapping[str, Any]) -> FaultHook |
 
 
 def _early_handlers(
-    context: DaemonContext, start: StartupSequence, publisher: EventPublisher, report: Callable[[], dict[str, Any]]
+    context: DaemonContext, start: StartupSequence, addresses: dict[str, str], report: Callable[[], dict[str, Any]]
 ) -> dict[str, Handler]:
     """Commands that are carried out while devices are waited for: also what `watch` asks for."""
 
@@ -153,7 +159,7 @@ def _early_handlers(
         return {**report(), "seq": context.journal.last_seq, "journal": context.journal.uuid}
 
     async def rig(params: dict[str, Any]) -> Any:
-        return _describe_rig(context, context.identities, publisher.address)
+        return _describe_rig(context, context.identities, addresses)
 
     async def replay_events(params: dict[str, Any]) -> Any:
         return await off_loop(replay, context.journal, params)
@@ -246,14 +252,14 @@ def _folder_files(config: RigConfig) -> dict[str, str]:
     return files
 
 
-def _describe_rig(context: DaemonContext, identities: dict[str, str], events: str) -> dict[str, Any]:
+def _describe_rig(context: DaemonContext, identities: dict[str, str], addresses: dict[str, str]) -> dict[str, Any]:
     """The answer to `rig`."""
     config = context.config
     return {
         "version": __version__,
         "pid": os.getpid(),
         "config": str(config.source),
-        "service": {"commands": context.commands.address, "events": events, "data": str(context.data)},
+        "service": {"commands": context.commands.address, **addresses, "data": str(context.data)},
         "campaigns": str(context.data / "campaigns"),
         "devices": identities,
         "cameras": list(config.cameras),

@@ -1,0 +1,1 @@
+"""HTTP for what speaks no ZeroMQ: curl, Excel, a browser. Needs the extra ``labdaemon[web]``."""
