@@ -17,9 +17,11 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from labdaemon.capture.devices import Firing
+from labdaemon.capture.lamp import LightRequest, PlayedLight
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings, readable_settings
+from labdrivers.trigger_lamp import PERIOD_WITHIN, LampControl
 from labdrivers.trigger_wire import LAST_SEQUENCE, OUTPUTS, decode, elapsed_us, encode
 
 TRIES = 3
@@ -71,6 +73,7 @@ class TriggerBox:
 
     SETTINGS: ClassVar[frozenset[str]] = frozenset(TriggerSettings.model_fields)
     holds_enable: ClassVar[bool] = True
+    plays_light: ClassVar[bool] = True
     reopens: ClassVar[bool] = True
     """`drop_enable` opens a broken wire anew by itself."""
 
@@ -83,6 +86,7 @@ class TriggerBox:
         self._lag_s = self._settings.opening_lag_s
         self._armed = False
         self._seen = 0
+        self._lamp = LampControl(name, self._exchange)
 
     @classmethod
     def for_stopping(cls, name: str, settings: Mapping[str, Any]) -> TriggerBox:
@@ -106,6 +110,7 @@ class TriggerBox:
             Something else than a trigger box answers.
         """
         self._armed = False
+        self._lamp.forget()
         self._line.open()
         try:
             self._line.write(b"\n")
@@ -208,12 +213,46 @@ class TriggerBox:
             turns = (phase_rad / (2 * math.pi) - self._lag_s * frequency_hz) % 1.0
             request += f" {round(turns / frequency_hz * 1e6)}"
             patience_s += 2 / frequency_hz
+        shot = self._release(request, patience_s)
+        return self._firing(shot, frequency_hz)
+
+    def set_lamp(self, level: float) -> None:
+        """Constant light of this brightness, 0 to 1; see `labdaemon.capture.lamp.LightCodePlayer`."""
+        self._lamp.set_level(level)
+
+    def fire_coded(self, exposure_s: float, light: LightRequest, *, frequency_hz: float) -> Firing:
+        """Release all shutters once, and have the lamp play a code while they are open.
+
+        Raises
+        ------
+        DeviceRefused
+            The box does not play it; nothing was released.
+        DeviceError
+            The sync input has another period than the excitation; nothing was released.
+        """
+        if not 0 < exposure_s <= 3600 or frequency_hz <= 0:
+            raise UsageError(f"no code can be played in {exposure_s} s at {frequency_hz} Hz")
+        self._lamp.arm(light, exposure_s, frequency_hz)
+        try:
+            shot = self._release(f"FIRE {round(exposure_s * 1e6)}", self._lag_s + 2.5)
+        except DeviceRefused:
+            self._lamp.disarm()
+            raise
+        self._lamp.fired(shot.number)
+        return self._firing(shot, frequency_hz)
+
+    def read_played(self, timeout_s: float) -> PlayedLight:
+        """What was played with the last coded shot; see `labdaemon.capture.lamp.LightCodePlayer`."""
+        return self._lamp.read_played(timeout_s)
+
+    def _release(self, request: str, patience_s: float) -> BoxShot:
+        """Fire, and wait until the shutters have opened."""
         number = self._number(self._exchange(request))
         shot = self._await(number, patience_s)
         if shot is None or shot.state != "DONE":
             raise DeviceRefused("accepted a shot but never released it; power the box off and on", device=self.name)
         self._seen = max(self._seen, number) if self._armed else number
-        return self._firing(shot, frequency_hz)
+        return shot
 
     def wait(self, timeout_s: float) -> Firing | None:
         """Wait for a release by the external input, arming it at the first call; None when none came in time."""
@@ -268,8 +307,10 @@ class TriggerBox:
             self._lag_s = sum(opening_s.values()) / len(opening_s)
         age_s = elapsed_us(shot.now_us, shot.release_us) * 1e-6 - self._lag_s
         opened_at = datetime.now(UTC) - timedelta(seconds=age_s)
-        if frequency_hz is None and shot.period_us:
-            frequency_hz = 1e6 / shot.period_us
+        seen_hz = 1e6 / shot.period_us if shot.period_us else None
+        if seen_hz is not None and (frequency_hz is None or abs(seen_hz / frequency_hz - 1) < PERIOD_WITHIN):
+            # By the clock that the times are of: a resonator may be off by half a per cent, 2° of a cycle.
+            frequency_hz = seen_hz
         if shot.sync_us is None or frequency_hz is None or not opening_s:
             return Firing(opened_at, opening_s)
         after_sync_s = elapsed_us(shot.release_us, shot.sync_us) * 1e-6 + self._lag_s

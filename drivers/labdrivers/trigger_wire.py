@@ -29,13 +29,31 @@ Request              Reply's values                                 Meaning
                                                                     releases; N is the last shot so far
 ``DISARM``           ``N``                                          no longer; N is the last shot
 ``SHOT N``           ``N STATE RELEASE O1..O4 SYNC PERIOD NOW``     what is known of shot N, below
+``LAMP``             ``LEVEL LEVELS``                               the lamp's constant light, 0 to 255, and how many
+                                                                    levels it can show: 2 where it only switches
+``LAMP LEVEL``       ``LEVEL``                                      constant light from now on
+``CODE C OPEN T L``  ``PERIOD``                                     arms a light code for the next shot, below
+``CODE 0``           ``0``                                          no code for the next shot
+``PLAYED N``         ``N STATE START SYNC PERIOD CYCLES NOW``       what became of shot N's code, below
 ===================  =============================================  =================================================
 
 Of a shot: STATE is WAIT, OPEN (released) or DONE; O1 to O4 the closing of each flash-sync contact; SYNC the last sync
 edge before the release, PERIOD the sync's period; ``-`` for what was not seen.
 A shot is DONE when all contacts have closed or two seconds have passed since the release. The box remembers eight.
+
+A **light code** is played with the next shot, C whole cycles of the sync input's period. L is the brightness of its
+2 to 64 equal sectors, two hexadecimal digits each; T is where in the cycle the first of them begins, in 1/65536 of a
+cycle after the sync's edge; OPEN is for how many µs the shutters stay open. The lamp is dark from the release on. The
+code begins at the first edge of one of its sectors after the last flash-sync contact has closed, runs on the period
+that was measured then, and ends with the same sector: over whole cycles it makes no difference which one is first.
+Then the lamp is dark until OPEN is over for all shutters; 0.1 s later the constant light returns.
+Of a code: STATE is WAIT, PLAY, DONE, or CUT: not played, or ended early, because a contact did not close, the sync was
+lost or changed its period by more than 1 %, or the code would have lasted longer than the shutters are open. START is
+the first edge, SYNC the sync edge before the contacts closed, PERIOD the one played, CYCLES how many were completed.
+A box is switched on with its lamp at full brightness. A box of before the lamp output answers ``SYNTAX`` to all three.
+
 Errors: ``SYNTAX``, ``RANGE``, ``BUSY`` (a shot is in progress), ``NOSYNC`` (no edge of the sync input within two
-seconds), ``UNKNOWN`` (no such shot).
+seconds), ``UNKNOWN`` (no such shot, or no code with it), ``NOLAMP`` (the box has no lamp output).
 """
 
 from __future__ import annotations
@@ -46,6 +64,8 @@ from dataclasses import dataclass
 CLOCK_WRAP = 2**32
 LAST_SEQUENCE = 65535
 OUTPUTS = 4
+TURN_PARTS = 65536
+FULL_LEVEL = 255
 LONGEST_HOLD_MS = 5000
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from labdrivers.sim.faults import Faults
 from labdrivers.sim.gauge_device import GaugeDevice
+from labdrivers.sim.lamp_output import LampOutput
 from labdrivers.sim.ptp_card import MemoryCard
 from labdrivers.sim.ptp_device import PtpBody
 from labdrivers.sim.render_pool import RenderPool
@@ -111,7 +112,10 @@ class SimulatedRig:
             bodies.append(body)
             self.bus.add(name, UsbCamera(body))
         self.shaker = ScpiDevice(table)
-        self.trigger = TriggerDevice(bodies, table, clock=self.clock)
+        self.lamp = LampOutput(self.rig.set_lamp, self.rig.spec.lamp.levels)
+        self.trigger = TriggerDevice(
+            bodies, table, clock=self.clock, lamp=self.lamp, tick_error=self.rig.spec.box_tick_error
+        )
         self.wires: dict[str, WireDevice] = {
             "shaker": self.shaker,
             "trigger": self.trigger,
@@ -125,8 +129,11 @@ class SimulatedRig:
         return self.rig.moving(self.clock())
 
     def faults(self) -> dict[str, list[Faults]]:
-        """The fault switches of every device by name; a camera has those of its body and those of its USB side."""
+        """The fault switches of every device by name; a camera has those of its body and those of its USB
+        side, the trigger box those of its lamp output, too.
+        """
         switches = {name: [wire.faults] for name, wire in self.wires.items()}
+        switches["trigger"].append(self.lamp.faults)
         for name, camera in self.bus.cameras.items():
             switches[name] = [camera.body.faults, camera.faults]
         return switches

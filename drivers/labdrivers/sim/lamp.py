@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from labdrivers.sim.lens import FloatArray
+
+KEEP_EDGES = 20_000
+"""Edges remembered: hundreds of coded exposures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,40 @@ class LampPlay:
         risen = np.clip(since / self.rise_s, 0.0, 1.0) if self.rise_s > 0 else np.ones(times.shape)
         lamp = np.where(index > 0, earlier + (now - earlier) * risen, self.before)
         return np.asarray(lamp + self.ambient)
+
+    def relative(self, t: FloatArray) -> FloatArray:
+        """The same in parts of all light with the lamp at full brightness."""
+        return self(t) / (1.0 + self.ambient)
+
+
+@dataclass(slots=True)
+class LampHistory:
+    """Levels of the lamp's pin so far: from full brightness on, since the lab's lamp is on before anything is wired."""
+
+    times_s: list[float] = field(default_factory=list)
+    levels: list[float] = field(default_factory=list)
+    before: float = 1.0
+
+    def add(self, t: float, level: float) -> None:
+        """The pin has this level from `t` on; what was planned for later times is void."""
+        keep = bisect_left(self.times_s, t)
+        del self.times_s[keep:], self.levels[keep:]
+        if level != (self.levels[-1] if self.levels else self.before):
+            self.times_s.append(t)
+            self.levels.append(level)
+        if len(self.times_s) > KEEP_EDGES:
+            half = KEEP_EDGES // 2
+            self.before = self.levels[half - 1]
+            del self.times_s[:half], self.levels[:half]
+
+    def play(self, from_s: float, to_s: float, rise_s: float, ambient: float) -> LampPlay | None:
+        """What the lamp did in a window; None where it was at full brightness throughout."""
+        first = bisect_left(self.times_s, from_s - rise_s)
+        last = bisect_left(self.times_s, to_s)
+        before = self.levels[first - 1] if first else self.before
+        if first == last and before == 1.0:
+            return None
+        return LampPlay(tuple(self.times_s[first:last]), tuple(self.levels[first:last]), before, rise_s, ambient)
 
 
 def play_code(

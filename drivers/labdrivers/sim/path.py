@@ -84,6 +84,8 @@ def follow(
         times = moments(*window_s, count)
         displacement = np.asarray(motion(times), float)
     weight = np.ones(times.size) if brightness is None else _mean_brightness(brightness, times, window_s[1] / count)
+    if not weight.any():  # no light at all: the frame is black whatever the path
+        weight = np.ones(times.size)
     lit = weight > 0
     return MotionPath(times[lit], displacement[lit], weight[lit] / weight.sum())
 

@@ -9,6 +9,7 @@ about any past time are answered from the history of commands.
     rig.enable(t, True)                                             # amplifier's enable line
     rig.table_mm(times); rig.response_mm(times, point_mm=...)       # gauges
     rig.excitation_phase(t); rig.moving(t); rig.tripped             # sync output, safety
+    rig.set_lamp(t, 0.0)                                            # the lamp's pin from t on
     job = rig.exposure_job("left", opened_s, exposure_s)            # small and picklable, when the shutter has closed
     render_job(job)                                                 # -> bytes of a DNG, seconds of work, any process
     rig.truth(opened_s, exposure_s)                                 # JSON-able, for tests and demo only
@@ -26,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from labdrivers.sim.dng import write_dng
+from labdrivers.sim.lamp import LampHistory, LampPlay
 from labdrivers.sim.lens import FloatArray
 from labdrivers.sim.optics import Optics
 from labdrivers.sim.render import RenderedFrame, render_frame
@@ -54,6 +56,8 @@ class ExposureJob:
         Number of the exposure: seeds its noise.
     captured_at
         ``YYYY:MM:DD HH:MM:SS`` for the file, or empty.
+    lamp
+        What the lamp did; None where it was at full brightness throughout.
     """
 
     spec: RigSpec
@@ -65,6 +69,7 @@ class ExposureJob:
     f_number: float
     shot: int
     captured_at: str = ""
+    lamp: LampPlay | None = None
 
 
 class RigModel:
@@ -77,6 +82,7 @@ class RigModel:
         self._command = (1.0, 0.0, False)
         self._enabled = True
         self._shots = 0
+        self._lamp = LampHistory()
         self._tripped: str | None = None
         self._records: list[dict[str, Any]] = []
 
@@ -120,6 +126,12 @@ class RigModel:
             t, self.spec.table, frequency_hz=frequency_hz, level_v=level_v if live else 0.0, phase_rad=phase
         )
         self._history = ExcitationHistory(history.modes, history.intervals[-KEEP_INTERVALS:])
+
+    def set_lamp(self, t: float, level: float) -> None:
+        """The lamp's pin from `t` on, 0 to 1; without effect on a lamp that is not wired to it."""
+        if self.spec.lamp.is_wired:
+            with self._lock:
+                self._lamp.add(t, level)
 
     # -- what instruments see ------------------------------------------------------------------------------------
 
@@ -199,6 +211,7 @@ class RigModel:
         with self._lock:
             self._shots += 1
             shot, history = self._shots, self._history
+            lamp = self._lamp.play(opened_s, opened_s + exposure_s, self.spec.lamp.rise_s, self.spec.lamp.ambient)
         job = ExposureJob(
             self.spec,
             camera,
@@ -209,6 +222,7 @@ class RigModel:
             f_number or self.spec.f_number,
             shot,
             captured_at,
+            lamp,
         )
         record = {"camera": camera, "shot": shot, **self.truth(opened_s, exposure_s)}
         with self._lock:
@@ -288,6 +302,7 @@ def render_exposure(job: ExposureJob) -> RenderedFrame:
         seen.camera(),
         motions=None if still else {t.name: motion_of(np.asarray(t.centre_mm, float)) for t in spec.targets},
         panel_motion=None if still else lambda t: displacements(history, corners, t),
+        brightness=None if job.lamp is None else job.lamp.relative,
         opened_s=job.opened_s,
         exposure_s=job.exposure_s,
         frequency_hz=frequency.frequency_hz if frequency is not None and frequency.amplitude_mm > 0 else None,

@@ -52,6 +52,28 @@ class CameraSpec:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class LampSpec:
+    """The lamp that lights the structure, on the trigger box's output.
+
+    Attributes
+    ----------
+    rise_s
+        Time from dark to full brightness and back.
+    ambient
+        Other light in the room, in parts of the lamp's full brightness.
+    levels
+        How many levels the output can show; 2 where it only switches.
+    is_wired
+        False for a lamp that is on whatever the output does.
+    """
+
+    rise_s: float = 1e-4
+    ambient: float = 0.05
+    levels: int = 256
+    is_wired: bool = True
+
+
 def frame_targets(dots_per_column: int = 12, diameter_mm: float = 8.0) -> tuple[SceneTarget, ...]:
     """Dots on the two front columns, from the table upwards: L01 (left, lowest) to R12 (right, top)."""
     heights = np.linspace(45.0, HEIGHT_MM - 25.0, dots_per_column)
@@ -117,6 +139,10 @@ class RigSpec:
         What white paper in the middle of the frame reads (DN above black, green) in one second at that setting.
     at_s
         Exposure time of `white_dn`.
+    lamp
+        The lamp; `white_dn` holds with it at full brightness.
+    box_tick_error
+        Relative error of the trigger box's clock.
     """
 
     cameras: dict[str, CameraSpec] = field(
@@ -135,6 +161,8 @@ class RigSpec:
     f_number: float = 32.0
     white_dn: float = 2900.0
     at_s: float = 1.0
+    lamp: LampSpec = field(default_factory=LampSpec)
+    box_tick_error: float = 4e-5
     seed: int = 1
 
     @cached_property

@@ -1,8 +1,8 @@
 """The trigger box, simulated at its serial wire: see `labdrivers.trigger_wire` for what it says.
 
 Its outputs are wired to the rig's cameras (a cable each, not USB), its sync input to the generator, its enable line to
-the amplifier. Times are those at which things truly happen on the rig's clock, read through the box's own clock of
-4 µs steps with a few microseconds of jitter.
+the amplifier, its lamp output to the rig's lamp. Times are those at which things truly happen on the rig's clock, read
+through the box's own clock of 4 µs steps with a few microseconds of jitter.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from labdrivers.sim.faults import Faults
+from labdrivers.sim.lamp_output import ArmedCode, LampOutput
 from labdrivers.sim.wire import WireDevice
-from labdrivers.trigger_wire import CLOCK_WRAP, LONGEST_HOLD_MS, OUTPUTS, decode, encode
+from labdrivers.trigger_wire import CLOCK_WRAP, LONGEST_HOLD_MS, OUTPUTS, TURN_PARTS, decode, encode
 
 FAULTS = {
     "silent": "answers nothing",
@@ -83,6 +84,10 @@ class TriggerDevice(WireDevice):
         The rig's other wires.
     clock
         The rig's clock, seconds.
+    lamp
+        Its lamp output; None for a box without one.
+    tick_error
+        Relative error of the box's own clock, positive when it is fast.
     """
 
     def __init__(
@@ -92,13 +97,17 @@ class TriggerDevice(WireDevice):
         *,
         clock: Callable[[], float] = time.monotonic,
         seed: int = 0,
+        lamp: LampOutput | None = None,
+        tick_error: float = 0.0,
     ) -> None:
         super().__init__()
         if len(shutters) > OUTPUTS:
             raise ValueError(f"a box has {OUTPUTS} outputs")
         self.faults = Faults(FAULTS)
         self._shutters, self._excitation, self._clock = list(shutters), excitation, clock
-        self._random = random.Random(seed)
+        self._random, self.lamp, self._tick_error = random.Random(seed), lamp, tick_error
+        if lamp is not None:
+            lamp.tick_error = tick_error
         self._input = bytearray()
         self._state = threading.Condition(threading.RLock())
         self._running = True
@@ -133,6 +142,8 @@ class TriggerDevice(WireDevice):
             self._shots: dict[int, _ScheduledShot] = {}
             self._last_shot = 0
             self._served: tuple[int, str, str] = (0, "", "")
+            if self.lamp is not None:
+                self.lamp.restart(self._started_s)
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -183,6 +194,8 @@ class TriggerDevice(WireDevice):
 
     def _serve(self, words: list[str]) -> str:
         verb, arguments = words[0], words[1:]
+        if verb in ("LAMP", "CODE", "PLAYED") and not (self.lamp and self.lamp.faults.is_on("old_firmware")):
+            return self._serve_lamp(verb, arguments)
         if not all(word.isdigit() and len(word) < 11 for word in arguments):
             return "ERR SYNTAX numbers expected"
         numbers = [int(word) for word in arguments]
@@ -207,6 +220,56 @@ class TriggerDevice(WireDevice):
                 return self._describe(number)
         return f"ERR SYNTAX {verb}"
 
+    def _serve_lamp(self, verb: str, arguments: list[str]) -> str:
+        """Requests about the lamp output."""
+        lamp = self.lamp
+        if lamp is None:
+            return "ERR NOLAMP this box has no lamp output"
+        if not all(word.isdigit() and len(word) < 11 for word in arguments[:3]):
+            return "ERR SYNTAX numbers expected"
+        match verb, arguments:
+            case "LAMP", []:
+                return f"OK {lamp.level} {lamp.levels}"
+            case "LAMP", [level]:
+                if not lamp.allows(int(level)):
+                    return "ERR RANGE the lamp cannot show this level"
+                lamp.set_level(int(level), self._clock())
+                return f"OK {lamp.level}"
+            case "CODE", ["0"]:
+                lamp.armed = None
+                return "OK 0"
+            case "CODE", [cycles, open_us, turn, levels]:
+                return self._arm_code(lamp, int(cycles), int(open_us), int(turn), levels)
+            case "PLAYED", [number]:
+                return self._describe_play(lamp, int(number))
+        return f"ERR SYNTAX {verb}"
+
+    def _arm_code(self, lamp: LampOutput, cycles: int, open_us: int, turn: int, levels: str) -> str:
+        now = self._clock()
+        if lamp.is_busy() or self._shot_in_progress(now):
+            return "ERR BUSY a shot or a code is in progress"
+        try:
+            code = ArmedCode(tuple(bytes.fromhex(levels)), cycles, open_us * 1e-6, turn / TURN_PARTS)
+        except ValueError:
+            return "ERR SYNTAX two hexadecimal digits a sector expected"
+        sync = self._sync(now)
+        if sync is None:
+            return "ERR NOSYNC no edge on the sync input"
+        refusal = lamp.refusal(code, sync[1])
+        if refusal is not None:
+            return f"ERR {refusal}"
+        lamp.armed = code
+        return f"OK {round(sync[1] * 1e6 * (1 + self._tick_error))}"
+
+    def _describe_play(self, lamp: LampOutput, number: int) -> str:
+        play = lamp.plays.get(number)
+        now = self._stamp(self._clock())
+        if play is None:
+            return "ERR UNKNOWN no code was played with this shot"
+        period = "-" if play.period_s is None else str(round(play.period_s * 1e6 * (1 + self._tick_error)))
+        times = f"{self._stamp_or_dash(play.start_s)} {self._stamp_or_dash(play.sync_s)}"
+        return f"OK {number} {play.state} {times} {period} {play.cycles} {now}"
+
     def _hold_enable(self, raise_it: bool, ms: int) -> str:
         if not 0 < ms <= LONGEST_HOLD_MS:
             return f"ERR RANGE 1 to {LONGEST_HOLD_MS} ms"
@@ -227,7 +290,8 @@ class TriggerDevice(WireDevice):
 
     def _fire(self, delay_s: float | None) -> str:
         now = self._clock()
-        if self.faults.strike("busy") or any(self._shot_state(shot, now) != "DONE" for shot in self._shots.values()):
+        is_playing = self.lamp is not None and self.lamp.is_busy()
+        if self.faults.strike("busy") or is_playing or self._shot_in_progress(now):
             return "ERR BUSY a shot is in progress"
         due = now
         if delay_s is not None:
@@ -238,6 +302,9 @@ class TriggerDevice(WireDevice):
             due = edge + period * math.floor((now - edge) / period + 1) + delay_s
         self._new_shot(due)
         return f"OK {self._last_shot}"
+
+    def _shot_in_progress(self, now: float) -> bool:
+        return any(self._shot_state(shot, now) != "DONE" for shot in self._shots.values())
 
     def _new_shot(self, due_s: float) -> None:
         self._last_shot += 1
@@ -262,6 +329,9 @@ class TriggerDevice(WireDevice):
                 dues = [shot.due_s for shot in waiting if not shot.released]
                 if self._enable_until is not None:
                     dues.append(self._enable_until)
+                if self.lamp is not None:
+                    next_s = self.lamp.advance(now, self._sync)
+                    dues += [] if next_s is None else [next_s]
                 self._state.wait(max(0.0, min(dues) - now) if dues else None)
 
     def _release(self, shot: _ScheduledShot) -> None:
@@ -273,6 +343,8 @@ class TriggerDevice(WireDevice):
         dead = self.faults.strike("no_release")
         opened = [None if dead else shutter.release(shot.due_s) for shutter in self._shutters]
         shot.contacts_s = [None if blind else t for t in opened] + [None] * (OUTPUTS - len(opened))
+        if self.lamp is not None:
+            self.lamp.begin(shot.number, shot.due_s, shot.contacts_s[: len(opened)])
 
     def _shot_state(self, shot: _ScheduledShot, now: float) -> str:
         if not shot.released:
@@ -299,5 +371,5 @@ class TriggerDevice(WireDevice):
     def _stamp(self, t: float) -> int:
         """The box's clock: 4 µs steps, a microsecond or two of interrupt latency (the same for the same instant)."""
         jitter_us = random.Random(t).gauss(0.0, 2.0)
-        ticks = round(((t - self._started_s) * 1e6 + jitter_us) / TICK_US)
+        ticks = round(((t - self._started_s) * 1e6 * (1 + self._tick_error) + jitter_us) / TICK_US)
         return ticks * TICK_US % CLOCK_WRAP

@@ -1,0 +1,57 @@
+"""The light of a capture as the journal keeps it, and as `capture.toml` and events say it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class LightRecord:
+    """A light code as it was played, with what the rig file says of lamp and room.
+
+    Attributes
+    ----------
+    brightness
+        In equal sectors of one excitation cycle, 0 to 1 in parts of the lamp's full brightness.
+    cycles
+        Whole cycles that were played inside the open shutters.
+    phase_rad, sd_phase_rad
+        Excitation phase at which the first sector begins, and its standard deviation.
+    ambient
+        Light that is on whenever the shutter is open, in parts of the lamp's full brightness.
+    rise_s
+        Time that the lamp takes from dark to full brightness.
+    """
+
+    brightness: tuple[float, ...]
+    cycles: int
+    phase_rad: float
+    sd_phase_rad: float = 0.0
+    ambient: float = 0.0
+    rise_s: float = 0.0
+
+    @property
+    def capture_keys(self) -> dict[str, Any]:
+        """Keys of `capture.toml` and of ``capture.completed``."""
+        return {
+            "light": list(self.brightness),
+            "light_phase_rad": self.phase_rad % (2.0 * math.pi),
+            "light_cycles": self.cycles,
+            "ambient": self.ambient,
+            "light_rise_s": self.rise_s,
+        }
+
+    def to_json(self) -> str:
+        """Text for the journal."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str | None) -> LightRecord | None:
+        """The light that the journal has of a capture; None for constant light."""
+        if text is None:
+            return None
+        values = json.loads(text)
+        return cls(**{**values, "brightness": tuple(values["brightness"])})
