@@ -56,7 +56,7 @@ def test_the_resting_dot_is_found_to_a_hundredth_of_a_pixel(area):
         assert sharp.form.half_size_px == pytest.approx((scene.radius_px, scene.radius_px), abs=0.03)
 
 
-@pytest.mark.parametrize("size", [0.5, 2.0, 12.0, 40.0])
+@pytest.mark.parametrize("size", [0.5, 2.0, 12.0, 24.0])
 def test_amplitude_and_direction_are_within_their_deviations(area, size):
     scene = area.Scene(radius_px=9.6)
     sharp, _ = sharp_of(area, scene)
@@ -125,7 +125,7 @@ def test_rest_is_said_so_and_keeps_an_estimate_with_its_deviation(area):
     assert np.hypot(*found.a_px) < 4 * np.sqrt(found.covariance_px2[2, 2])
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=6, deadline=None, derandomize=True)
 @given(
     radius=st.floats(8, 22),
     ratio=st.floats(0.75, 1.0),

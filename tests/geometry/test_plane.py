@@ -113,7 +113,7 @@ def test_stated_uncertainty_is_true(look, angle: float) -> None:
     control, along = board(angle)
     camera = in_front(look, angle)
     pulls = []
-    for _ in range(40):
+    for _ in range(30):
         pixels = camera.project(control) + rng.normal(0, 0.05, (8, 2))
         surveyed = control + rng.normal(0, 0.3, control.shape)
         plane = fit_plane(camera.lens, pixels, surveyed, names=NAMES, sd_image_px=0.05, sd_object_mm=0.3)

@@ -77,6 +77,10 @@ def test_phased_motion_comes_back_with_its_signs(look, a, b) -> None:
     assert joined.resolved_by == "phase"
 
 
+COUNT = 90
+"""Motions drawn for each geometry: enough for the 95 % point and for a spread within a tenth."""
+
+
 @pytest.mark.parametrize(
     ("places", "kind"), [(TWO, "straight"), (THREE, "straight"), (TWO, "phased"), (THREE, "orbit")]
 )
@@ -85,7 +89,7 @@ def test_vectors_and_their_stated_uncertainty(look, places, kind: str) -> None:
     rng = np.random.default_rng(21)
     cameras = make_cameras(look, places)
     errors, pulls, flagged = [], [], 0
-    for _ in range(150):
+    for _ in range(COUNT):
         mean = rng.uniform([-150, -80, 150], [150, 80, 600])
         a = rng.normal(0, 1, 3) * [3, 2, 0.5]
         b = np.zeros(3) if kind == "straight" else np.cross(a, rng.normal(0, 1, 3)) * rng.uniform(0.1, 0.5)
@@ -102,7 +106,7 @@ def test_vectors_and_their_stated_uncertainty(look, places, kind: str) -> None:
         errors.append(np.linalg.norm(error))
         pulls.append([*(error / sd[3:6]), *((joined.motion.mean_mm - mean) / sd[:3])])
     assert np.quantile(errors, 0.95) < 0.05
-    assert flagged <= 0.05 * 150
+    assert flagged <= 0.05 * COUNT
     assert max(errors) < 0.3
     spread = np.std(pulls, axis=0)
     assert np.all((spread > 0.8) & (spread < 1.3)), spread

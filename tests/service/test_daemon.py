@@ -60,20 +60,12 @@ def test_a_shaking_table_comes_to_rest_when_it_is_told_to_end(run, rig):
     assert again.end(signal.SIGINT)[0] == 130
 
 
-def test_stop_brings_it_to_rest_and_pauses(run, rig):
-    daemon = run().ready()
-    id = daemon.ask("campaign.submit", toml=STEPS, request_id="one")["campaign"]
-    assert daemon.ask("campaign.submit", toml=STEPS, request_id="one")["campaign"] == id
-    until(lambda: rig.table()["moving"])
-    assert daemon.ask("stop")["rest"] == "soft"
-    until(lambda: not rig.table()["moving"], 5.0)
-    assert daemon.ask("status")["state"] == "paused"
-    assert daemon.end()[0] == 0
-
-
-def test_a_second_daemon_is_refused_and_disturbs_nothing(run, rig, tmp_path: Path):
+def test_a_second_daemon_is_refused_and_stop_brings_the_table_to_rest_and_pauses(run, rig, tmp_path: Path):
+    """Both of one daemon whose table moves for as long as need be."""
     first = run().ready()
-    first.ask("campaign.submit", toml=STEPS.replace("timeout_s = 30", "timeout_s = 90").replace("0.05", "1e-9"))
+    campaign = STEPS.replace("timeout_s = 30", "timeout_s = 90").replace("0.05", "1e-9")
+    id = first.ask("campaign.submit", toml=campaign, request_id="one")["campaign"]
+    assert first.ask("campaign.submit", toml=campaign, request_id="one")["campaign"] == id
     until(lambda: str(first.ask("status")["kind"]) == "steps" and rig.table()["moving"])
     for data in (tmp_path / "data", tmp_path / "other"):
         status, err = run(data=data).end(0)
@@ -81,6 +73,10 @@ def test_a_second_daemon_is_refused_and_disturbs_nothing(run, rig, tmp_path: Pat
         assert f"another labdaemon (process {first.process.pid}" in err
     status = first.ask("status")
     assert (status["state"], status["faults"], rig.table()["moving"]) == ("running", 0, True), status
+    assert first.ask("stop")["rest"] == "soft"
+    until(lambda: not rig.table()["moving"], 5.0)
+    assert first.ask("status")["state"] == "paused"
+    assert first.end()[0] == 0
 
 
 @pytest.mark.parametrize("answer", [None, b"\xff\x00\xfe~\x81{" * 20])

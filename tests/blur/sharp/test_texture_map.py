@@ -76,7 +76,7 @@ def test_long_smears_are_measured_better_with_the_map_and_their_error_is_known(a
     size = float(np.hypot(*a))
     errors = {True: [], False: []}
     pulls = []
-    for seed in range(12):
+    for seed in range(7):
         scene = scene_of(area, texture=0.012, seed=seed)
         sharp = sharp_of(area, scene, seed=100 + seed)
         smear = area.render(scene, SIZE, CENTRE, area.whole_cycles(*a), seed=200 + seed, samples=120)
@@ -94,7 +94,7 @@ def test_long_smears_are_measured_better_with_the_map_and_their_error_is_known(a
 @pytest.mark.slow
 def test_grain_that_stands_still_behind_the_dot_is_taken_off_too(area):
     a, pulls = np.array([9.0, 4.0]), []
-    for seed in range(8):
+    for seed in range(5):
         scene = scene_of(area, texture=0.012, seed=seed)
         sharp = sharp_of(area, scene, seed=100 + seed)
         plain = area.render(replace(scene, texture=0.0), SIZE, CENTRE, area.whole_cycles(*a), seed=None, samples=120)
