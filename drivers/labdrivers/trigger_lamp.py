@@ -84,10 +84,10 @@ class LampControl:
         request = LightRequest(shown, light.cycles, turn / TURN_PARTS * 2 * math.pi)
         self._playing = _ArmedLight(request, frequency_hz)
         try:
-            self._check_period(int(words[0]))
-        except DeviceError:
+            self._check_period(int(words[0]), frequency_hz)
+        except DeviceError as exc:
             self.disarm()
-            raise
+            raise DeviceRefused(str(exc).removeprefix(f"{self._name}: "), device=self._name) from None
 
     def disarm(self) -> None:
         """No code with the next shot."""
@@ -155,8 +155,7 @@ class LampControl:
             )
         return tuple(round(value * FULL_LEVEL) / FULL_LEVEL for value in values)
 
-    def _check_period(self, period_us: int, frequency_hz: float | None = None) -> None:
-        wanted_hz = frequency_hz or (self._playing.frequency_hz if self._playing is not None else 0.0)
+    def _check_period(self, period_us: int, wanted_hz: float) -> None:
         if period_us <= 0 or abs(period_us * 1e-6 * wanted_hz - 1) > PERIOD_WITHIN:
             seen = 1e6 / period_us if period_us > 0 else math.inf
             raise DeviceError(

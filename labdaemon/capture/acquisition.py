@@ -11,6 +11,7 @@ from labdaemon.capture.context import AcquisitionContext, CameraOverrides
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
 from labdaemon.capture.gather import gather_to_completion
+from labdaemon.capture.lighting import record_light, release
 from labdaemon.capture.own_frames import clock_offsets, prepare_cameras, wait_frames
 from labdaemon.capture.pairing import Opening
 from labdaemon.capture.paths import (
@@ -21,13 +22,13 @@ from labdaemon.capture.paths import (
     with_opening,
 )
 from labdaemon.capture.request import CaptureObserver, CaptureRequest
-from labdaemon.capture.rig import CALL_S
 from labdaemon.clock import parse_rfc3339, rfc3339
 from labdaemon.durable import write_durably
 from labdaemon.errors import DataError, DeviceError, DeviceRefused, InterlockError
 from labdaemon.events import CaptureData, FrameFile
 from labdaemon.journal import card_records, transitions
 from labdaemon.journal.card_records import ClockOffset, OwedFile
+from labdaemon.journal.light_record import light_of
 from labdaemon.journal.records import UNKNOWN_EXPOSURE_S, CaptureRecord, FrameRecord
 
 EXPOSURE_WITHIN = 0.09
@@ -72,6 +73,7 @@ async def acquire(context: AcquisitionContext, request: CaptureRequest, observer
     await context.table.confirm()
     if request.excitation is not None and context.table.excitation != request.excitation:
         raise InterlockError("the table was stopped during the exposure")
+    await record_light(context, request)
     capture = await observer.describe(capture)
 
     capture = await store_frames(context, capture, files, opening)
@@ -124,9 +126,10 @@ async def _read_exposure(
 
 async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
     """Every frame is stored: write what measuring needs next to them, and publish."""
+    light = light_of(context.recorder.journal, capture.campaign, capture.name)
     if not capture.is_sharp:
         path = capture_folder(context.data, capture) / "capture.toml"
-        await context.recorder.on_disk(write_durably, path, capture_toml(capture))
+        await context.recorder.on_disk(write_durably, path, capture_toml(capture, light))
     payload = CaptureData(
         capture=capture.name,
         step=capture.step if capture.step >= 0 else None,
@@ -142,6 +145,7 @@ async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: 
             FrameFile(camera=frame.camera, path=frame.path, size_bytes=frame.size_bytes, sha256=frame.sha256)
             for frame in frames
         ),
+        **(light.capture_keys if light is not None else {}),
     )
     await context.recorder.write(transitions.complete_capture, capture.campaign, payload)
     return replace(capture, state="stored")
@@ -170,12 +174,7 @@ async def _fire(context: AcquisitionContext, request: CaptureRequest) -> tuple[C
     if context.rig.trigger is None:
         raise DeviceError("shutters are released by an outside system; use a phase of kind external", device="trigger")
     try:
-        firing = await context.rig.trigger.call(
-            lambda driver: driver.fire(
-                request.exposure_s, frequency_hz=request.frequency_hz, phase_rad=request.trigger_phase_rad
-            ),
-            request.exposure_s + CALL_S,
-        )
+        firing = await release(context, context.rig.trigger, request)
     except DeviceRefused:
         for camera in request.cameras:  # nothing was released, so no camera owes a file
             this = OwedFile(camera, request.campaign, request.name, "", request.exposure_s)

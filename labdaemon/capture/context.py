@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from labdaemon.capture.lamp import Lamp
 from labdaemon.capture.own_frames import FrameContext, load_clocks
 from labdaemon.capture.pairing import CameraClocks
 from labdaemon.capture.recorder import Recorder
@@ -34,6 +35,8 @@ class AcquisitionContext:
         Settings by camera name.
     camera_timeout_s
         A frame that has not come this long after twice its exposure is late.
+    lamp
+        The lamp on the trigger device's output; None where the light is constant.
     clocks
         What is known of the cameras' clocks, from the journal at first.
     exposures_s
@@ -51,6 +54,7 @@ class AcquisitionContext:
     data: Path
     cameras: Mapping[str, CameraOverrides] = field(default_factory=dict)
     camera_timeout_s: float = 30.0
+    lamp: Lamp | None = None
     clocks: CameraClocks = field(default_factory=CameraClocks)
     exposures_s: dict[str, float] = field(default_factory=dict)
     suspect_devices: set[str] = field(default_factory=set)

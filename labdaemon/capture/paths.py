@@ -12,6 +12,7 @@ from typing import Any
 import tomli_w
 
 from labdaemon.capture.devices import CardFile
+from labdaemon.journal.light_record import LightRecord
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
 
 LONGEST_NAME = 80
@@ -59,7 +60,7 @@ def opening_phase(capture: CaptureRecord) -> float | None:
     return None if capture.phase_rad is None else capture.phase_rad % (2.0 * pi)
 
 
-def capture_toml(capture: CaptureRecord) -> str:
+def capture_toml(capture: CaptureRecord, light: LightRecord | None = None) -> str:
     """The capture's `capture.toml`: what measuring needs to know of it, and what a person wants to."""
     phase_rad = opening_phase(capture)
     table: dict[str, Any] = {
@@ -73,6 +74,7 @@ def capture_toml(capture: CaptureRecord) -> str:
         "excitation_amplitude_mm": capture.amplitude_mm,
         "step": None if capture.step == NO_STEP else capture.step,
         "label": capture.label,
+        **(light.capture_keys if light is not None else {}),
         "cameras": _camera_phases(capture, phase_rad) or None,
     }
     return tomli_w.dumps({key: value for key, value in table.items() if value is not None})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from labdaemon.capture.lamp import LightRequest
 from labdaemon.capture.settle import Excitation
 from labdaemon.journal.records import CaptureRecord
 
@@ -35,6 +36,8 @@ class CaptureRequest:
         What the table is brought to first; None to leave it as it is.
     trigger_phase_rad
         Excitation phase at which the trigger device opens the shutters, None for any.
+    light
+        Light code that the trigger device plays while the shutters are open, None for constant light.
     stated_phase_rad
         Excitation phase of the opening as whoever asked states it; it has a reference of its own.
     request_id
@@ -55,6 +58,7 @@ class CaptureRequest:
     cameras: tuple[str, ...]
     excitation: Excitation | None = None
     trigger_phase_rad: float | None = None
+    light: LightRequest | None = None
     stated_phase_rad: float | None = None
     request_id: str | None = None
 

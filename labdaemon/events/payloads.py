@@ -134,6 +134,8 @@ class CaptureData(EventPart):
         Excitation frequency, hertz, and amplitude of the table, zero to peak, millimetres; None where unknown.
     frames
         One file for each camera.
+    light, light_phase_rad, light_cycles, ambient, light_rise_s
+        The light code that was played, as in `capture.toml`; None under constant light.
     """
 
     capture: str
@@ -147,6 +149,11 @@ class CaptureData(EventPart):
     frequency_hz: float | None = None
     excitation_amplitude_mm: float | None = None
     frames: tuple[FrameFile, ...] = ()
+    light: tuple[float, ...] | None = None
+    light_phase_rad: float | None = None
+    light_cycles: int | None = None
+    ambient: float | None = None
+    light_rise_s: float | None = None
 
 
 class TargetRow(EventPart):

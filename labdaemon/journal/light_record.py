@@ -7,6 +7,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from labdaemon.journal.journal import Journal, Transaction
+
 
 @dataclass(frozen=True, slots=True)
 class LightRecord:
@@ -44,14 +46,17 @@ class LightRecord:
             "light_rise_s": self.rise_s,
         }
 
-    def to_json(self) -> str:
-        """Text for the journal."""
-        return json.dumps(asdict(self), allow_nan=False)
 
-    @classmethod
-    def from_json(cls, text: str | None) -> LightRecord | None:
-        """The light that the journal has of a capture; None for constant light."""
-        if text is None:
-            return None
-        values = json.loads(text)
-        return cls(**{**values, "brightness": tuple(values["brightness"])})
+def keep_light(write: Transaction, campaign: str, capture: str, light: LightRecord) -> None:
+    """Note a capture's light, within a transaction."""
+    text = json.dumps(asdict(light), allow_nan=False)
+    write.execute("INSERT OR REPLACE INTO capture_lights VALUES (?, ?, ?)", campaign, capture, text)
+
+
+def light_of(journal: Journal, campaign: str, capture: str) -> LightRecord | None:
+    """The light code that was played during a capture; None for constant light."""
+    rows = journal.read("SELECT light FROM capture_lights WHERE campaign = ? AND capture = ?", campaign, capture)
+    if not rows:
+        return None
+    values = json.loads(rows[0][0])
+    return LightRecord(**{**values, "brightness": tuple(values["brightness"])})

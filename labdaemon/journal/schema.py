@@ -102,6 +102,15 @@ CREATE INDEX events_of_campaign ON events (campaign, kind);
 
 LATER_INDEX = "CREATE INDEX IF NOT EXISTS campaigns_in_state ON campaigns (state, number)"
 """Counts queued campaigns each second without reading their texts. Made for journals of before it, too."""
+LIGHT_TABLE = """
+CREATE TABLE IF NOT EXISTS capture_lights (
+    campaign TEXT NOT NULL,
+    capture TEXT NOT NULL,
+    light TEXT NOT NULL,
+    PRIMARY KEY (campaign, capture)
+) STRICT, WITHOUT ROWID
+"""
+"""Light codes that were played (`labdaemon.journal.light_record`). Made for journals of before it, too."""
 CARD_TABLES = """
 CREATE TABLE card_files (
     camera TEXT NOT NULL,

@@ -13,6 +13,7 @@ from typing import Any
 from labdaemon.events import CampaignData, CaptureData, EnvelopeData, EventPart, FaultData, StepData, check_payload
 from labdaemon.journal.card_records import CardIdentity, ClockOffset, add_card_file, keep_offsets
 from labdaemon.journal.journal import Journal, Transaction
+from labdaemon.journal.light_record import LightRecord, keep_light
 from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
 
 MANUAL = "0000-manual"
@@ -182,6 +183,12 @@ def fire_capture(
             "UPDATE owed_files SET opened_at = ? WHERE campaign = ? AND capture = ?", opened_at, campaign, name
         )
         _answer(write, request_id, "capture", {"capture": name, "opened_at": opened_at})
+
+
+def light_capture(journal: Journal, campaign: str, name: str, light: LightRecord) -> None:
+    """Note the light code that was played while the shutters were open."""
+    with journal.transaction("capture.lit") as write:
+        keep_light(write, campaign, name, light)
 
 
 def describe_capture(journal: Journal, capture: CaptureRecord) -> None:

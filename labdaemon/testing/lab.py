@@ -17,6 +17,7 @@ from labdaemon.campaign.retry import RetryPolicy
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.device_executor import InlineExecutor
+from labdaemon.capture.lamp import Lamp
 from labdaemon.capture.recorder import Recorder
 from labdaemon.capture.table import Table
 from labdaemon.capture.table_monitor import TableMonitor
@@ -26,6 +27,7 @@ from labdaemon.errors import DataError, SetupError, StorageError
 from labdaemon.journal import records
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.records import CampaignRecord, CampaignState
+from labdaemon.testing.lamp import give_lamp
 from labdaemon.testing.rig import FakeRig, FakeWorld, fake_rig
 
 ENDED: tuple[CampaignState, ...] = ("completed", "aborted", "failed", "paused")
@@ -126,6 +128,7 @@ class FakeLab:
         has_trigger: bool = True,
         has_shaker: bool = True,
         proof: EnableLineProof = "proven",
+        lamp: Lamp | None = None,
     ) -> None:
         self.data: Path = data
         self.clock: SimulatedClock = clock
@@ -137,6 +140,9 @@ class FakeLab:
             self.fake.rig = replace(self.fake.rig, trigger=None, shaker=None)
         self.limits: InterlockLimits = limits or InterlockLimits()
         self.policy: RetryPolicy = policy or RetryPolicy()
+        self.lamp = lamp
+        if lamp is not None:
+            give_lamp(self.fake)
         self.free_bytes = 10**12
         self.proof = proof
         self.exposures_s: dict[str, tuple[float, ...]] = dict.fromkeys(self.fake.rig.cameras, (0.5, 1.0, 2.0))
@@ -160,7 +166,7 @@ class FakeLab:
         recorder = Recorder(self.journal, InlineExecutor("journal", lambda: 0.0))
         table = Table(self.fake.rig, self.clock, self.limits.gauge_disagreement)
         table.observer.proof = self.proof
-        context = AcquisitionContext(self.fake.rig, table, recorder, self.clock, self.data)
+        context = AcquisitionContext(self.fake.rig, table, recorder, self.clock, self.data, lamp=self.lamp)
         queue = MeasurementQueue(recorder, self.measurer, self.clock, self.data)
         self.engine = Engine(
             context,
