@@ -31,6 +31,7 @@ COMMANDS = {
     "report": ("labdaemon.cli.report:report", "A page about a data-set folder's results."),
     "calibrate": ("labdaemon.cli.calibrate:calibrate", "Calibrate a camera, the shaker or a shutter."),
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
+    "bridge": ("labdaemon.cli.bridge:bridge", "Pass a daemon's events on to MQTT or bluesky."),
     "bench": ("labdaemon.cli.bench:bench", "Measure labdaemon itself."),
 }
 """Subcommand -> its function, and its line in `--help`. Imported only when called, so that `stop` starts at once."""

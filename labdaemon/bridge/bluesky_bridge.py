@@ -1,0 +1,157 @@
+"""Documents on ZeroMQ as bluesky's ``RemoteDispatcher`` reads them, and the place of a bridge that is started again."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self, TypeAlias
+
+import zmq
+
+from labdaemon.bridge.bluesky_documents import Document, DocumentMaker
+from labdaemon.bridge.follow import Place
+from labdaemon.durable import write_durably
+from labdaemon.errors import UsageError
+
+Serializer: TypeAlias = Literal["pickle", "json"]
+HIGH_WATER = 100_000
+LINGER_MS = 2000
+SERIALIZERS: dict[Serializer, Callable[[Any], bytes]] = {
+    "pickle": pickle.dumps,  # what a dispatcher expects unless it is given another deserializer
+    "json": lambda document: json.dumps(document).encode(),
+}
+
+
+class DocumentPublisher:
+    """A socket that documents are published on.
+
+    Parameters
+    ----------
+    address
+        ``tcp://HOST:PORT``: bound, for dispatchers to connect to; or a proxy's, which is connected to.
+    is_proxy
+        Whether the address is a ``bluesky-0MQ-proxy``'s.
+    serializer
+        How documents become bytes.
+
+    Raises
+    ------
+    UsageError
+        The address is taken, or none.
+    """
+
+    def __init__(self, address: str, *, is_proxy: bool = False, serializer: Serializer = "pickle") -> None:
+        self._serialize = SERIALIZERS[serializer]
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = self._context.socket(zmq.XPUB)
+        self._socket.set(zmq.SNDHWM, HIGH_WATER)
+        self._socket.set(zmq.LINGER, LINGER_MS)
+        try:
+            if is_proxy:
+                self._socket.connect(address)
+            else:
+                self._socket.bind(address)
+        except zmq.ZMQError as exc:
+            self._context.destroy(linger=0)
+            raise UsageError(f"{address} cannot be used: {exc.strerror}") from None
+        self.address: str = self._socket.get_string(zmq.LAST_ENDPOINT).rstrip("\0")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._context.destroy()
+
+    def wait_for_subscriber(self, timeout_s: float | None = None) -> bool:
+        """Wait for the first one: what is published before it has subscribed is lost."""
+        if not self._socket.poll(None if timeout_s is None else round(timeout_s * 1000)):
+            return False
+        self._socket.recv()
+        return True
+
+    def publish(self, document: Document) -> None:
+        """Send one document."""
+        while self._socket.poll(0):
+            self._socket.recv()  # further subscriptions
+        name, content = document
+        self._socket.send(b" ".join([b"", name.encode(), self._serialize(content)]))
+
+
+@dataclass(frozen=True, slots=True)
+class BridgePlace:
+    """Where a bridge was.
+
+    Attributes
+    ----------
+    published
+        The last event whose documents were published.
+    before_open
+        Just before the oldest run that was open then: the events of open runs are read again, so that counts go on.
+    """
+
+    published: Place
+    before_open: Place
+
+
+def read_place(path: Path) -> BridgePlace | None:
+    """The place that a state file holds; None where there is none.
+
+    Raises
+    ------
+    UsageError
+        The file is another.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        journal, seq, before = found["journal"], found["seq"], found["before_open"]
+        if not (isinstance(journal, str) and type(seq) is int and type(before) is int and 0 <= before <= seq):
+            raise ValueError
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise UsageError(f"{path} is no state of a bridge; name another file, or remove it") from None
+    return BridgePlace(Place(seq, journal), Place(before, journal))
+
+
+def publish_events(
+    events: Iterable[dict[str, Any] | None],
+    maker: DocumentMaker,
+    publish: Callable[[Document], None],
+    *,
+    place: BridgePlace | None = None,
+    state: Path | None = None,
+) -> None:
+    """Make documents of events and publish them, until the events end.
+
+    Parameters
+    ----------
+    events
+        From `place.before_open` on; statuses and silence (None) among them.
+    place
+        Documents of events up to its `published` are made, and not published again.
+    state
+        File that the place is kept in; nothing is kept where it is None.
+
+    Raises
+    ------
+    StorageError
+        The state cannot be written.
+    """
+    for event in events:
+        if event is None or event["kind"] == "status":
+            continue
+        is_known = place is not None and event["journal"] == place.published.journal
+        is_published = is_known and place is not None and event["seq"] <= place.published.seq
+        documents = list(maker.feed(event))
+        if is_published:
+            continue
+        for document in documents:
+            publish(document)
+        if state is not None and documents:
+            open_seq = maker.first_open_seq
+            before = event["seq"] if open_seq is None else open_seq - 1
+            kept = {"journal": event["journal"], "seq": event["seq"], "before_open": before}
+            write_durably(state, json.dumps(kept))
