@@ -20,10 +20,10 @@ from pydantic import Field, field_validator
 
 from labdaemon.capture.devices import GaugeReading, SineReading
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdaemon.sine_fit import FloatArray, change_per_cycle, fit_free_sine, fit_sine
 from labdrivers.gauge_stream import LineParser, Parser, RecordParser
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings
-from labdrivers.sine_fit import FloatArray, change_per_cycle, fit_free_sine, fit_sine
 
 KEEP_S = 60.0
 FIRST_READING_S = 2.0

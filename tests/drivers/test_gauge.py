@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.errors import ConfigError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdaemon.sine_fit import change_per_cycle, fit_free_sine, fit_sine
 from labdrivers.gauge import LineGauge
 from labdrivers.gauge_stream import LineParser, RecordParser
 from labdrivers.sim.gauge_device import GaugeDevice
 from labdrivers.sim.wire import PtyPort, TcpPort
-from labdrivers.sine_fit import change_per_cycle, fit_free_sine, fit_sine
 
 
 @settings(max_examples=60, deadline=None)
