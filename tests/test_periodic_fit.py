@@ -77,7 +77,7 @@ def test_the_pulls_are_those_of_the_stated_standard_deviations(
             ]
         )
     spread = np.std(pulls, axis=0)
-    assert np.all(spread > 0.7) and np.all(spread < 1.35), spread
+    assert np.all((spread > 0.7) & (spread < 1.35)), spread
 
 
 def test_a_gap_and_missing_numbers_change_the_result_by_no_more_than_their_noise() -> None:

@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from labdaemon.capture.abilities import GaugeRecord
 from labdaemon.capture.devices import GaugeReading, SineReading
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
 from labdaemon.sine_fit import FloatArray, change_per_cycle, fit_free_sine, fit_sine
 from labdrivers.gauge_stream import LineParser, Parser, RecordParser
+from labdrivers.reading_times import ReadingTimes
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings
 
@@ -56,6 +58,10 @@ class GaugeSettings(PortSettings):
     """Reading × scale is the value in `unit`."""
     stale_s: float = Field(default=0.5, gt=0)
     """A gauge silent for longer is an error."""
+    delay_s: float = Field(default=0.0, ge=0, le=10)
+    """From a reading to its arrival here: the gauge's own filter, and the wire."""
+    sd_delay_s: float = Field(default=0.01, ge=0, le=10)
+    """Its standard deviation; phases against the excitation are known no better."""
 
     @field_validator("marker")
     @classmethod
@@ -97,6 +103,7 @@ class LineGauge:
         self._line = SerialLine(name, self._settings)
         self._news = threading.Condition()
         self._values: deque[float] = deque(maxlen=int(KEEP_S * self._settings.rate_hz))
+        self._times = ReadingTimes(self._settings.rate_hz, KEEP_S)
         self._total = 0
         self._first_at = self._last_at = 0.0
         self._fault: DeviceError | None = None
@@ -116,6 +123,7 @@ class LineGauge:
         self.close()
         self._line.open()
         self._values.clear()
+        self._times.clear()
         self._total, self._fault = 0, None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._listen, args=(self._closing,), name=self.name, daemon=True)
@@ -203,6 +211,30 @@ class LineGauge:
             free.frequency_hz, free.sd_frequency_hz, free.sine.amplitude, free.sine.sd, free.is_significant
         )
 
+    def record(self, *, start_s: float, duration_s: float) -> GaugeRecord:
+        """Readings of a window, as they came; see `labdaemon.capture.abilities.RecordSource`.
+
+        Raises
+        ------
+        TransportError
+            The gauge fell silent before the window's end, or its connection broke.
+        ProtocolError
+            Another rate than `rate_hz`.
+        """
+        s = self._settings
+        end_s = start_s + duration_s + s.delay_s
+        with self._news:
+            while True:
+                self._check_stream(max(end_s, time.monotonic()) + s.stale_s)
+                if self._last_at >= end_s:
+                    break
+                self._news.wait(0.05)
+            self._check_rate()
+            values = np.array(self._values) * s.scale
+            t_s = self._times.of_latest(values.size) - s.delay_s - start_s
+        within = (t_s >= 0) & (t_s < duration_s)
+        return GaugeRecord(t_s[within], values[within], s.sd_delay_s)
+
     def close(self) -> None:
         """Stop reading and give the wire back."""
         self._closing.set()
@@ -230,6 +262,7 @@ class LineGauge:
                     self._first_at = now
                 self._values.extend(values)
                 self._total += len(values)
+                self._times.note(self._total, now)
                 self._last_at = now
                 self._news.notify_all()
 
@@ -244,20 +277,23 @@ class LineGauge:
         deadline = time.monotonic() + 1.5 * count / self._settings.rate_hz + 1.0
         with self._news:
             while True:
-                if self._thread is None:
-                    raise TransportError("not connected; connect first", device=self.name)
-                self._raise_fault()
-                now = time.monotonic()
-                if now - self._last_at > self._settings.stale_s or now > deadline:
-                    raise TransportError(
-                        f"sends no readings since {now - self._last_at:.1f} s; check its power and cable",
-                        device=self.name,
-                    )
+                self._check_stream(deadline)
                 if len(self._values) >= count:
                     break
                 self._news.wait(0.05)
             self._check_rate()
             return np.array(self._values)[-count:]
+
+    def _check_stream(self, deadline_s: float) -> None:
+        """Refuse to wait for a gauge that does not send."""
+        if self._thread is None:
+            raise TransportError("not connected; connect first", device=self.name)
+        self._raise_fault()
+        now = time.monotonic()
+        if now - self._last_at > self._settings.stale_s or now > deadline_s:
+            raise TransportError(
+                f"sends no readings since {now - self._last_at:.1f} s; check its power and cable", device=self.name
+            )
 
     def _check_rate(self) -> None:
         lasted = self._last_at - self._first_at

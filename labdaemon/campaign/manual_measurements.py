@@ -16,6 +16,7 @@ from labdaemon.capture.paths import capture_folder, capture_toml
 from labdaemon.durable import write_durably
 from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.journal import records, transitions
+from labdaemon.journal.gauge_records import gauges_of
 from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 GROUP_QUIET_S = 20.0
@@ -91,6 +92,7 @@ class ManualMeasurements:
 
     async def add(self, capture: CaptureRecord) -> None:
         """A capture is safe on disk: have it measured, or say once what is missing."""
+        await self._queue.add_gauges(capture)
         for campaign, group in list(self._quiet):
             if campaign == capture.campaign and group != capture.grouped:
                 self._close(campaign, group)
@@ -150,9 +152,8 @@ class ManualMeasurements:
         ]
         for one in pending:
             await recorder.write(transitions.describe_capture, one)
-            await recorder.on_disk(
-                write_durably, capture_folder(self._context.data, one) / "capture.toml", capture_toml(one)
-            )
+            text = capture_toml(one, gauges_of(recorder.journal, one.campaign, one.name))
+            await recorder.on_disk(write_durably, capture_folder(self._context.data, one) / "capture.toml", text)
         await self._measure_all(pending)
 
     async def _measure_all(self, pending: Sequence[CaptureRecord]) -> None:

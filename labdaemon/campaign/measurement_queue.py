@@ -20,12 +20,15 @@ from labdaemon.clock import Clock, parse_rfc3339
 from labdaemon.errors import LabdaemonError, SetupError, StorageError, StorageUnavailable
 from labdaemon.events import EnvelopeData, FaultData, TargetRow
 from labdaemon.journal import records, transitions
+from labdaemon.journal.gauge_records import gauges_in, gauges_of
+from labdaemon.journal.gauge_table import FILE_NAME, GaugeFiles
 from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 Rows = list[dict[str, Any]]
 
 log: logging.Logger = logging.getLogger(__name__)
 
+RESULTS = "results"
 TRIES = 2
 DISK_POLL_S = 5.0
 
@@ -129,6 +132,7 @@ class MeasurementQueue:
         """Campaigns whose first frames were looked at."""
         self._reported: set[tuple[str, str]] = set()
         """Campaign and message of what manual captures could not be measured for."""
+        self._gauge_files = GaugeFiles()
 
     @property
     def waiting(self) -> int:
@@ -150,6 +154,7 @@ class MeasurementQueue:
             The campaign's first frames are not what the rig file says: none of its captures could be measured.
         """
         self._raise_if_broken()
+        await self.add_gauges(capture)
         if capture.step != NO_STEP:
             await self._check_first(capture)
         if capture.is_sharp or (capture.grouped is not None and capture.step == NO_STEP):
@@ -157,6 +162,19 @@ class MeasurementQueue:
         members = self._members(capture)
         if members is not None:
             await self.add_group(members)
+
+    async def add_gauges(self, capture: CaptureRecord) -> None:
+        """Add what gauges saw during a capture to the folder's file; the journal has it in any case."""
+        if capture.is_sharp:
+            return
+        journal, results = self._recorder.journal, campaign_folder(self._data, capture.campaign) / RESULTS
+        motions = gauges_of(journal, capture.campaign, capture.name)
+        try:
+            await self._recorder.on_disk(
+                self._gauge_files.add, results, capture.name, motions, lambda: gauges_in(journal, capture.campaign)
+            )
+        except StorageError as exc:  # as for other results: the file is written anew when the campaign ends
+            log.warning("gauges of %s are in the journal only: %s", capture.name, exc)
 
     async def add_group(self, members: Sequence[CaptureRecord], *, again: bool = False) -> None:
         """Measure captures jointly under their group's name, or one under its own; waits while the queue is full.
@@ -220,6 +238,8 @@ class MeasurementQueue:
                 if names and lacks:
                     log.warning("results of %s on disk lack rows: written anew from the journal", record.id)
                     await self.close(record.id)
+                elif folder.is_dir() and not (folder / RESULTS / FILE_NAME).exists():
+                    await self._recorder.on_disk(self._write_gauges, record.id)
             except StorageError as exc:
                 log.warning("results of %s cannot be mended: %s", record.id, exc)
 
@@ -338,11 +358,16 @@ class MeasurementQueue:
             # The files are written anew when the campaign ends, and it does not end as completed without them.
             log.warning("rows of %s are in the journal only: %s", campaign, exc)
 
+    def _write_gauges(self, campaign: str) -> None:
+        results = campaign_folder(self._data, campaign) / RESULTS
+        self._gauge_files.write(results, gauges_in(self._recorder.journal, campaign))
+
     async def _rewrite(self, campaign: str) -> None:
         kept = records.results(self._recorder.journal, campaign)
         done = (CaptureRows(result.envelope, result.measurements) for result in kept)
         folder = campaign_folder(self._data, campaign)
         await self._recorder.on_disk(self._measurer.write_results, folder, done)
+        await self._recorder.on_disk(self._write_gauges, campaign)
 
     async def _until_written(self, work: Callable[[], Awaitable[object]]) -> object:
         while True:

@@ -7,7 +7,45 @@ nothing but a question more.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaugeRecord:
+    """Readings of a gauge over a window of time.
+
+    Attributes
+    ----------
+    t_s
+        (n,) when each was taken, seconds after the window's start, ascending. Readings that were lost leave a gap.
+    values
+        (n,) in the gauge's own unit; NaN for one without a number.
+    sd_t_s
+        Standard deviation of all these times together against the host's clock: what a wire may delay.
+    """
+
+    t_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+    sd_t_s: float = 0.0
+
+
+@runtime_checkable
+class RecordSource(Protocol):
+    """A gauge driver that keeps its latest readings and the times of their arrival."""
+
+    def record(self, *, start_s: float, duration_s: float) -> GaugeRecord:
+        """Readings of a window that begins at a time of the host's monotonic clock; waits for its end if need be.
+
+        Raises
+        ------
+        DeviceError
+            The gauge fell silent, or sends what are no readings.
+        """
+        ...
 
 
 @runtime_checkable

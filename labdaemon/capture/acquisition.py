@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import asyncio
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from labdaemon.capture.context import AcquisitionContext, CameraOverrides
 from labdaemon.capture.devices import CardFile
 from labdaemon.capture.exposure import true_steps_s
 from labdaemon.capture.gather import gather_to_completion
+from labdaemon.capture.gauge_motion import RecordWindow, fit_gauges, read_gauges
 from labdaemon.capture.lighting import record_light, release
 from labdaemon.capture.own_frames import clock_offsets, prepare_cameras, wait_frames
 from labdaemon.capture.pairing import Opening
@@ -25,9 +27,10 @@ from labdaemon.capture.request import CaptureObserver, CaptureRequest
 from labdaemon.clock import parse_rfc3339, rfc3339
 from labdaemon.durable import write_durably
 from labdaemon.errors import DataError, DeviceError, DeviceRefused, InterlockError
-from labdaemon.events import CaptureData, FrameFile
+from labdaemon.events import CaptureData, FrameFile, GaugeMotion
 from labdaemon.journal import card_records, transitions
 from labdaemon.journal.card_records import ClockOffset, OwedFile
+from labdaemon.journal.gauge_records import gauges_of
 from labdaemon.journal.light_record import light_of
 from labdaemon.journal.records import UNKNOWN_EXPOSURE_S, CaptureRecord, FrameRecord
 
@@ -65,35 +68,47 @@ async def acquire(context: AcquisitionContext, request: CaptureRequest, observer
 
     observer.capture_started()
     await context.recorder.write(transitions.intend_capture, request.intended())
-    capture, opened_s = await _fire(context, request)
+    capture, opened_s, timed_s = await _fire(context, request)
     observer.capture_fired(capture)
 
     opening = Opening(capture.campaign, capture.name, opened_s, capture.exposure_s)
-    files = await wait_frames(context.frames, opening, seen)
-    await context.table.confirm()
-    if request.excitation is not None and context.table.excitation != request.excitation:
-        raise InterlockError("the table was stopped during the exposure")
-    await record_light(context, request)
-    capture = await observer.describe(capture)
+    window = RecordWindow.of_exposure(timed_s, capture.exposure_s, capture.frequency_hz)
+    recording = asyncio.create_task(read_gauges(context.rig, context.clock, window))
+    try:
+        files = await wait_frames(context.frames, opening, seen)
+        await context.table.confirm()
+        if request.excitation is not None and context.table.excitation != request.excitation:
+            raise InterlockError("the table was stopped during the exposure")
+        await record_light(context, request)
+        capture = await observer.describe(capture)
+        gauges = await context.recorder.in_background(fit_gauges, await recording, capture)
+    finally:
+        recording.cancel()
 
-    capture = await store_frames(context, capture, files, opening)
+    capture = await store_frames(context, capture, files, opening, gauges=gauges)
     await observer.capture_stored(capture)
     return capture
 
 
 async def store_frames(
-    context: AcquisitionContext, capture: CaptureRecord, files: Mapping[str, CardFile], opening: Opening | None = None
+    context: AcquisitionContext,
+    capture: CaptureRecord,
+    files: Mapping[str, CardFile],
+    opening: Opening | None = None,
+    *,
+    gauges: Sequence[GaugeMotion] = (),
 ) -> CaptureRecord:
     """Store one file a camera as this capture's frames, which the journal then vouches for.
 
-    The cameras' clocks are learned from them where the `opening` is known on the monotonic clock.
+    The cameras' clocks are learned from them where the `opening` is known on the monotonic clock. What the `gauges` saw
+    is kept with them.
     """
     named = {camera: identity(file) for camera, file in files.items()}
     offsets: list[ClockOffset] = []
     if opening is not None:
         context.clocks.update(files, opening)
         offsets = clock_offsets(context.frames, opening, files)
-    await context.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets)
+    await context.recorder.write(transitions.expose_capture, capture.campaign, capture.name, named, offsets, gauges)
     frames = await gather_to_completion(_store(context, capture, camera, file) for camera, file in files.items())
     if capture.exposure_s == UNKNOWN_EXPOSURE_S:
         capture = await _read_exposure(context, capture, list(frames))
@@ -127,9 +142,10 @@ async def _read_exposure(
 async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: list[FrameRecord]) -> CaptureRecord:
     """Every frame is stored: write what measuring needs next to them, and publish."""
     light = light_of(context.recorder.journal, capture.campaign, capture.name)
+    gauges = gauges_of(context.recorder.journal, capture.campaign, capture.name)
     if not capture.is_sharp:
         path = capture_folder(context.data, capture) / "capture.toml"
-        await context.recorder.on_disk(write_durably, path, capture_toml(capture, light))
+        await context.recorder.on_disk(write_durably, path, capture_toml(capture, light, gauges))
     payload = CaptureData(
         capture=capture.name,
         step=capture.step if capture.step >= 0 else None,
@@ -145,6 +161,7 @@ async def complete(context: AcquisitionContext, capture: CaptureRecord, frames: 
             FrameFile(camera=frame.camera, path=frame.path, size_bytes=frame.size_bytes, sha256=frame.sha256)
             for frame in frames
         ),
+        gauges=gauges,
         **(light.capture_keys if light is not None else {}),
     )
     await context.recorder.write(transitions.complete_capture, capture.campaign, payload)
@@ -169,10 +186,21 @@ async def _expose_for(context: AcquisitionContext, exposure_s: float) -> None:
         context.exposures_s[name] = exposure_s
 
 
-async def _fire(context: AcquisitionContext, request: CaptureRequest) -> tuple[CaptureRecord, float]:
-    """Release the shutters; the capture with its opening, and the opening on the host's monotonic clock."""
+async def _fire(context: AcquisitionContext, request: CaptureRequest) -> tuple[CaptureRecord, float, float]:
+    """Release the shutters.
+
+    Returns
+    -------
+    CaptureRecord
+        With its opening.
+    float
+        When the release was reported, on the host's monotonic clock.
+    float
+        When the trigger device saw the shutters open, on the same clock.
+    """
     if context.rig.trigger is None:
         raise DeviceError("shutters are released by an outside system; use a phase of kind external", device="trigger")
+    asked_s = context.clock.monotonic()
     try:
         firing = await release(context, context.rig.trigger, request)
     except DeviceRefused:
@@ -181,6 +209,9 @@ async def _fire(context: AcquisitionContext, request: CaptureRequest) -> tuple[C
             await context.recorder.write(card_records.forget_owed, camera, [this])
         raise
     opened_s = context.clock.monotonic()
+    # The wall clock may have been set meanwhile: the opening lies between the request and its answer in any case.
+    timed_s = opened_s - (context.clock.now() - firing.opened_at).total_seconds()
+    timed_s = min(max(timed_s, asked_s), opened_s)
     opened_at = rfc3339(firing.opened_at)
     capture = with_opening(request.intended(), opened_at, firing.opening_s, firing.phase_rad, firing.sd_phase_rad)
     await context.recorder.write(
@@ -193,7 +224,7 @@ async def _fire(context: AcquisitionContext, request: CaptureRequest) -> tuple[C
         sd_phase_rad=capture.sd_phase_rad,
         request_id=request.request_id,
     )
-    return capture, opened_s
+    return capture, opened_s, timed_s
 
 
 async def _store(context: AcquisitionContext, capture: CaptureRecord, camera: str, file: CardFile) -> FrameRecord:

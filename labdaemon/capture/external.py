@@ -11,6 +11,7 @@ from labdaemon.capture.acquisition import store_frames
 from labdaemon.capture.collect import store, wait_frame
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.devices import CardFile, Firing
+from labdaemon.capture.gauge_motion import RecordWindow, fit_gauges, read_gauges
 from labdaemon.capture.own_frames import wait_external_frames
 from labdaemon.capture.pairing import ReleasePairing
 from labdaemon.capture.paths import set_aside_path, with_opening
@@ -18,6 +19,7 @@ from labdaemon.capture.request import CaptureObserver, CaptureRequest
 from labdaemon.clock import rfc3339
 from labdaemon.events import FaultData
 from labdaemon.journal import transitions
+from labdaemon.journal.records import CaptureRecord
 
 WAIT_SLICE_S = 1.0
 """Longest single wait for an outside release."""
@@ -134,12 +136,25 @@ async def store_release(
     )
     observer.capture_fired(capture)
     try:
+        reports = await read_gauges(context.rig, context.clock, _record_window(context, capture, firing, release))
         capture = await observer.describe(capture)
-        capture = await store_frames(context, capture, release.files)
+        gauges = await context.recorder.in_background(fit_gauges, reports, capture)
+        capture = await store_frames(context, capture, release.files, gauges=gauges)
         observer.capture_ended()  # it is safe: the step may be left now, even while the measurement queue is full
         await observer.capture_stored(capture)
     finally:
         observer.capture_ended()
+
+
+def _record_window(
+    context: AcquisitionContext, capture: CaptureRecord, firing: Firing | None, release: ExternalRelease
+) -> RecordWindow:
+    """When to look at the gauges: about the exposure, which files alone show too badly for a phase."""
+    if firing is None:
+        opened_s = release.first_s - capture.exposure_s
+    else:
+        opened_s = context.clock.monotonic() - (context.clock.now() - firing.opened_at).total_seconds()
+    return RecordWindow.of_exposure(opened_s, capture.exposure_s, capture.frequency_hz, is_timed=firing is not None)
 
 
 def _opened_at(context: AcquisitionContext, request: CaptureRequest, release: ExternalRelease) -> datetime:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import pi
 from pathlib import Path, PurePath
@@ -12,6 +12,7 @@ from typing import Any
 import tomli_w
 
 from labdaemon.capture.devices import CardFile
+from labdaemon.events import GaugeMotion
 from labdaemon.journal.light_record import LightRecord
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
 
@@ -60,7 +61,9 @@ def opening_phase(capture: CaptureRecord) -> float | None:
     return None if capture.phase_rad is None else capture.phase_rad % (2.0 * pi)
 
 
-def capture_toml(capture: CaptureRecord, light: LightRecord | None = None) -> str:
+def capture_toml(
+    capture: CaptureRecord, light: LightRecord | None = None, gauges: Sequence[GaugeMotion] = ()
+) -> str:
     """The capture's `capture.toml`: what measuring needs to know of it, and what a person wants to."""
     phase_rad = opening_phase(capture)
     table: dict[str, Any] = {
@@ -76,6 +79,7 @@ def capture_toml(capture: CaptureRecord, light: LightRecord | None = None) -> st
         "label": capture.label,
         **(light.capture_keys if light is not None else {}),
         "cameras": _camera_phases(capture, phase_rad) or None,
+        "gauges": {one.gauge: one.model_dump(exclude={"gauge"}, exclude_none=True) for one in gauges} or None,
     }
     return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 

@@ -14,6 +14,7 @@ members that they do not know; a kind that they do not know is an `UnknownEvent`
 not write is None.
 """
 
+from labdaemon.events.gauge_motion import GaugeMotion
 from labdaemon.events.kinds import (
     CampaignAborted,
     CampaignCompleted,
@@ -63,6 +64,7 @@ __all__ = [
     "FaultData",
     "FaultReported",
     "FrameFile",
+    "GaugeMotion",
     "KnownEvent",
     "StatusData",
     "StatusReport",

@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSche
 from labdaemon.clock import rfc3339
 from labdaemon.plain_json import plain_text
 
+from labdaemon.events.gauge_motion import GaugeMotion
+
 if TYPE_CHECKING:
     from labdaemon.envelope import Envelope
 
@@ -136,6 +138,8 @@ class CaptureData(EventPart):
         One file for each camera.
     light, light_phase_rad, light_cycles, ambient, light_rise_s
         The light code that was played, as in `capture.toml`; None under constant light.
+    gauges
+        What each gauge saw meanwhile; empty in events of earlier versions.
     """
 
     capture: str
@@ -154,6 +158,7 @@ class CaptureData(EventPart):
     light_cycles: int | None = None
     ambient: float | None = None
     light_rise_s: float | None = None
+    gauges: tuple[GaugeMotion, ...] = ()
 
 
 class TargetRow(EventPart):

@@ -18,7 +18,15 @@ from typing import Any, Literal
 from labdaemon.clock import Clock, rfc3339
 from labdaemon.durable import supports_sync, sync_folder
 from labdaemon.journal.event import EventText, StoredEvent, event_text, limit_bytes
-from labdaemon.journal.schema import APPLICATION_ID, CARD_TABLES, LATER_INDEX, LIGHT_TABLE, TABLES, VERSION
+from labdaemon.journal.schema import (
+    APPLICATION_ID,
+    CARD_TABLES,
+    GAUGE_TABLE,
+    LATER_INDEX,
+    LIGHT_TABLE,
+    TABLES,
+    VERSION,
+)
 from labdaemon.journal.storage import DataLock, JournalError, as_data_error
 from labdaemon.plain_json import dump_json, plain_text
 
@@ -263,6 +271,7 @@ class Journal:
                     self._writer.execute(LATER_INDEX)
                 self._add_card_tables()
                 self._writer.execute(LIGHT_TABLE)
+                self._writer.execute(GAUGE_TABLE)
                 self._reader = sqlite3.connect(self.path, READ_BUSY_S, isolation_level=None, check_same_thread=False)
                 self._reader.execute("PRAGMA query_only = ON")
                 self.uuid: str = self._reader.execute("SELECT value FROM meta WHERE key = 'uuid'").fetchone()[0]

@@ -111,6 +111,16 @@ CREATE TABLE IF NOT EXISTS capture_lights (
 ) STRICT, WITHOUT ROWID
 """
 """Light codes that were played (`labdaemon.journal.light_record`). Made for journals of before it, too."""
+GAUGE_TABLE = """
+CREATE TABLE IF NOT EXISTS gauge_motions (
+    campaign TEXT NOT NULL,
+    capture TEXT NOT NULL,
+    gauge TEXT NOT NULL,
+    motion TEXT NOT NULL,
+    PRIMARY KEY (campaign, capture, gauge)
+) STRICT, WITHOUT ROWID
+"""
+"""What gauges saw during captures (`labdaemon.events.GaugeMotion` as JSON). Made for journals of before it, too."""
 CARD_TABLES = """
 CREATE TABLE card_files (
     camera TEXT NOT NULL,

@@ -10,8 +10,18 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from labdaemon.events import CampaignData, CaptureData, EnvelopeData, EventPart, FaultData, StepData, check_payload
+from labdaemon.events import (
+    CampaignData,
+    CaptureData,
+    EnvelopeData,
+    EventPart,
+    FaultData,
+    GaugeMotion,
+    StepData,
+    check_payload,
+)
 from labdaemon.journal.card_records import CardIdentity, ClockOffset, add_card_file, keep_offsets
+from labdaemon.journal.gauge_records import keep_gauges
 from labdaemon.journal.journal import Journal, Transaction
 from labdaemon.journal.light_record import LightRecord, keep_light
 from labdaemon.journal.records import CampaignState, CaptureRecord, FrameRecord, reply_to
@@ -212,10 +222,11 @@ def expose_capture(
     name: str,
     files: Mapping[str, CardIdentity],
     offsets: Iterable[ClockOffset] = (),
+    gauges: Iterable[GaugeMotion] = (),
 ) -> None:
     """The shutters have closed and the excitation had not changed: these files are worth keeping.
 
-    `offsets` of the cameras' clocks were found from them.
+    `offsets` of the cameras' clocks were found from them; `gauges` saw the motion meanwhile.
     """
     with journal.transaction("capture.exposed") as write:
         write.execute(
@@ -226,6 +237,7 @@ def expose_capture(
         )
         write.execute("DELETE FROM owed_files WHERE campaign = ? AND capture = ?", campaign, name)
         keep_offsets(write, offsets)
+        keep_gauges(write, campaign, name, gauges)
 
 
 def store_frame(journal: Journal, frame: FrameRecord, file: CardIdentity | None = None) -> None:

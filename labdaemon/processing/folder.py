@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labdaemon.blur import ExposureWindow, LightCode
 from labdaemon.errors import ConfigError, DataError, UsageError
+from labdaemon.events import GaugeMotion
 from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_unknown_keys
 from labdaemon.processing.survey import SurveyedPoint, TargetPlace, read_control, read_targets
@@ -57,6 +58,16 @@ class CaptureFile(BaseModel):
     light_rise_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Time that the lamp takes from dark to full brightness."""
     cameras: dict[str, CameraOpening] = {}
+    gauges: dict[str, GaugeMotion] = {}
+    """What each gauge saw, by its name."""
+
+    @field_validator("gauges", mode="before")
+    @classmethod
+    def _named_gauges(cls, gauges: Any) -> Any:
+        """Each table with its gauge's name; what a person noted in another form is no motion."""
+        if not isinstance(gauges, dict):
+            return {}
+        return {name: {**one, "gauge": name} for name, one in gauges.items() if isinstance(one, dict)}
 
     @model_validator(mode="after")
     def _code_fits(self) -> CaptureFile:
@@ -193,6 +204,11 @@ class DataFolder:
         if missing:
             raise DataError(f"no frame of camera {missing[0]}", file=where)
         return CaptureFiles(name, frames, _read_capture(where / "capture.toml", tuple(self.rig.cameras)))
+
+    def gauges(self, capture: str) -> tuple[GaugeMotion, ...]:
+        """What gauges saw during a capture, by name of the gauge."""
+        about = self.capture(capture).about
+        return tuple(about.gauges[name] for name in sorted(about.gauges))
 
 
 def sharp_sets(root: Path) -> tuple[str, ...]:

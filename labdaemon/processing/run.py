@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labdaemon.errors import ConfigError, DataError
+from labdaemon.journal.gauge_table import write_gauges
 from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.pool import WorkerPool
@@ -91,7 +92,7 @@ def process_folder(
     method: str | None = None,
     progress: Progress | None = None,
 ) -> FolderResult:
-    """Run the whole chain on a data-set folder and write `measurements.csv` and `envelope.csv`.
+    """Run the whole chain on a data-set folder and write its result files; `gauges.csv` only where gauges saw anything.
 
     Parameters
     ----------
@@ -126,6 +127,7 @@ def process_folder(
     write_csv(target / "measurements.csv", MEASUREMENT_COLUMNS, rows)
     rows = [row for result in results for row in result.envelope_rows]
     write_csv(target / "envelope.csv", ENVELOPE_COLUMNS, rows)
+    write_gauges(target, [(name, one) for name in opened.capture_names() for one in opened.gauges(name)])
     return FolderResult(target, tuple(results), sets, note)
 
 

@@ -21,13 +21,12 @@ from labdaemon.capture.devices import (
     CameraStatus,
     CardFile,
     Firing,
-    GaugeReading,
     ShakerState,
-    SineReading,
 )
 from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceRefused, ProtocolError, TransportError
+from labdaemon.testing.gauge import FakeGauge
 
 FaultKind = Literal["gone", "rubbish", "refused", "silent", "slow", "torn", "lost_file", "unexpected_file"]
 """Port gone; answer not in its protocol; a plain no; never an answer; one too late; a broken transfer; no file after a
@@ -321,39 +320,6 @@ class FakeCamera:
     def delete(self, file: CardFile) -> None:
         self.world.enter(self.name, "delete")
         self.card.pop(file.handle, None)
-
-    def close(self) -> None:
-        self.world.enter(self.name, "close")
-
-
-@dataclass(slots=True)
-class FakeGauge:
-    """Reads the world's table or structure, without noise to speak of."""
-
-    world: FakeWorld
-    name: str
-    role: str
-    unit: str = "mm"
-    gain: float = 1.0
-
-    def connect(self) -> str:
-        self.world.enter(self.name, "connect")
-        return "fake gauge"
-
-    def read(self, frequency_hz: float, *, duration_s: float) -> GaugeReading:
-        self.world.enter(self.name, "read", 0.0)
-        if self.role == "table":
-            value, change = (self.world.amplitude_mm if self.world.moves() else 0.0), 0.0
-        else:
-            value = self.world.response_mm()
-            goal = self.world.response_gain * self.world.amplitude_mm if self.world.moves() else 0.0
-            change = abs(goal - value) / max(value, 1e-9) * 2.0 * math.pi * self.world.damping_ratio
-        return GaugeReading(self.gain * value, 1e-4, 0.0, change)
-
-    def find_sine(self, *, duration_s: float) -> SineReading:
-        self.world.enter(self.name, "find_sine", 0.0)
-        value = self.gain * (self.world.amplitude_mm if self.world.moves() else 0.0)
-        return SineReading(self.world.frequency_hz, 1e-3, value, 1e-4, value > 0.0)
 
     def close(self) -> None:
         self.world.enter(self.name, "close")

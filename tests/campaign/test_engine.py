@@ -63,7 +63,7 @@ def test_what_it_leaves_is_a_data_set_folder(simulate):
         await lab.until(id)
         folder = lab.data / "campaigns" / id
         assert {path.name for path in folder.iterdir()} == {
-            "rig.toml", "control.csv", "campaign.toml", "sharp", "captures",
+            "rig.toml", "control.csv", "campaign.toml", "sharp", "captures", "results",
         }  # fmt: skip
         assert sorted(path.name for path in (folder / "sharp").iterdir()) == sorted(
             f"{camera}{number}.dng" for camera in ("left", "right") for number in ("", "-2", "-3")

@@ -12,6 +12,8 @@ from labdaemon.bench.kill import ONCE, TRANSITIONS
 from labdaemon.clock import SimulatedClock
 from labdaemon.journal import records
 from labdaemon.journal.frames import PART
+from labdaemon.journal.gauge_records import gauges_in
+from labdaemon.journal.gauge_table import gauges_text
 from labdaemon.testing.lab import FakeLab
 
 CAMPAIGN = """
@@ -76,6 +78,14 @@ def test_killed_at(tmp_path: Path, transition: str, when: str):
         assert not any(camera.card for camera in lab.fake.cameras)
         assert records.captures(lab.journal, None, "intended", "fired", "exposed") == []
         assert not lab.world.running
+        # Every capture that counts has its gauges, in the journal, its capture.toml and gauges.csv, once.
+        seen = gauges_in(lab.journal, id)
+        assert [one.gauge for _, one in seen] == ["response", "table"] * 4
+        table = (tmp_path / "campaigns" / id / "results" / "gauges.csv").read_text()
+        assert table == gauges_text(seen)
+        for capture, one in seen:
+            about = (tmp_path / "campaigns" / id / "captures" / capture / "capture.toml").read_text()
+            assert f"[gauges.{one.gauge}]" in about
         await lab.kill()
         return kills
 

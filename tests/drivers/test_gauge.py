@@ -206,6 +206,28 @@ def test_a_gauge_finds_the_excitation_that_nobody_stated(streaming, fault):
         gauge.find_sine(duration_s=0.01)
 
 
+def test_a_record_of_a_window_has_the_phase_that_the_host_saw(streaming):
+    _, gauge = streaming
+    gauge.connect()
+    start_s = time.monotonic() + 0.1
+    record = gauge.record(start_s=start_s, duration_s=0.6)
+    assert record.values.size == pytest.approx(300, abs=15)
+    assert np.all(np.diff(record.t_s) > 0)
+    sine = fit_sine(record.t_s + start_s, record.values, 8.0)
+    assert sine.amplitude == pytest.approx(1.5, abs=0.01)
+    # Blocks come each 20 ms and the machine may be busy: the least delay counts.
+    assert abs(sine.phase_rad) < 2 * math.pi * 8.0 * 0.02
+
+
+@pytest.mark.parametrize("fault", ["silent", "hang_up"])
+def test_a_record_of_a_silent_gauge_is_an_error_at_once(streaming, fault):
+    device, gauge = streaming
+    gauge.connect()
+    device.faults.inject(fault, count=1 if fault == "hang_up" else None)
+    with pytest.raises(TransportError, match=r"sends no readings|lost"):
+        gauge.record(start_s=time.monotonic(), duration_s=0.4)
+
+
 def test_a_dead_gauge_does_not_connect(streaming):
     device, gauge = streaming
     device.faults.inject("silent")

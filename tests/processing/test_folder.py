@@ -121,3 +121,16 @@ def test_a_bad_folder_is_refused(folder: Path, tmp_path: Path) -> None:
     (folder / "rig.toml").write_text(RIG.replace("apriltag-36h11", "qr-codes"))
     with pytest.raises(ConfigError, match=r"control\.family.*'qr-codes'"):
         open_folder(folder)
+
+
+def test_gauges_of_a_capture_are_read_by_name(folder: Path) -> None:
+    (folder / "captures/c1/capture.toml").write_text(
+        "[gauges]\nnote = 3\n[gauges.table]\nunit = 'mm'\namplitude_mm = 2.0\nh3_mm = 0.1\nnew_in_some_version = 1\n"
+    )
+    [one] = open_folder(folder).gauges("c1")
+    assert (one.gauge, one.amplitude_mm, one.h3_mm, one.phase_rad) == ("table", 2.0, 0.1, None)
+    (folder / "captures/c1/capture.toml").write_text("gauges = 'none'\n")
+    assert open_folder(folder).gauges("c1") == ()
+    (folder / "captures/c1/capture.toml").write_text("[gauges.table]\namplitude_mm = 'two'\n")
+    with pytest.raises(ConfigError, match=r"gauges\.table\.amplitude_mm"):
+        open_folder(folder).gauges("c1")
