@@ -82,7 +82,7 @@ def test_the_folder_is_a_data_set_folder_and_a_changed_rig_keeps_the_old_file(si
         await lab.engine.capture(ManualRequest())
         await lab.clock.sleep(30.0)
         folder = lab.data / "campaigns" / MANUAL
-        assert {path.name for path in folder.iterdir()} == {"rig.toml", "control.csv", "sharp", "captures"}
+        assert {path.name for path in folder.iterdir()} == {"rig.toml", "control.csv", "sharp", "captures", "results"}
         (folder / "rig.toml").write_text("# of another day")
         await lab.kill()
         lab.start()
