@@ -56,7 +56,7 @@ class RecordError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class HarmonicFit:
+class RecordHarmonic:
     """One harmonic of a `PeriodicFit`.
 
     Attributes
@@ -107,7 +107,7 @@ class PeriodicFit:
     sd: float
     phase_rad: float | None
     sd_phase_rad: float | None
-    harmonics: tuple[HarmonicFit, ...]
+    harmonics: tuple[RecordHarmonic, ...]
     offset: float
     sd_offset: float
     drift_per_s: float
@@ -321,7 +321,7 @@ def _result(fit: _LinearFit) -> PeriodicFit:
     sds = [sd(by_amplitude) for by_amplitude, _ in slopes]
     first = phase_of(phases[0], slopes[0][1], amplitudes[0] > sds[0])
     harmonics = tuple(
-        HarmonicFit(
+        RecordHarmonic(
             order,
             amplitudes[order - 1],
             sds[order - 1],

@@ -13,6 +13,7 @@ from labdaemon.blur.fit.static_target import measure_static
 from labdaemon.blur.fit.texture import measure_moment
 from labdaemon.blur.frame import measure_displacement, measure_frame
 from labdaemon.blur.group import measure_group
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.blur.measure import measure
@@ -43,6 +44,7 @@ __all__ = [
     "InitialGuess",
     "LightCode",
     "Measurement",
+    "MotionHarmonics",
     "MotionWaveform",
     "NoiseModel",
     "Patch",

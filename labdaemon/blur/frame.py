@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, match_guesses
 from labdaemon.blur.patch.pixels import FloatArray, Patch
@@ -25,6 +26,7 @@ def measure_frame(
     orbit: bool = True,
     waveform: MotionWaveform | None = None,
     camera_shift_px: FloatArray | None = None,
+    harmonics: Sequence[MotionHarmonics | None] | None = None,
 ) -> list[Measurement]:
     """Measure the targets of one frame.
 
@@ -39,6 +41,8 @@ def measure_frame(
         One a target, or none.
     window, orbit, waveform, camera_shift_px
         As for `measure`.
+    harmonics
+        Of each target's motion, None where none are known.
 
     Returns
     -------
@@ -62,6 +66,7 @@ def measure_frame(
             orbit=curved,
             waveform=waveform,
             camera_shift_px=camera_shift_px,
+            harmonics=None if harmonics is None else harmonics[index],
         )
 
     dots = [index for index, sharp in enumerate(sharps) if not isinstance(sharp.form, TexturedPatch)]

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from labdaemon.blur.average import average_measurements
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import Patch
-from labdaemon.blur.phase.harmonic_fit import fit_harmonic
+from labdaemon.blur.phase.harmonic_window import fit_with_harmonics
 from labdaemon.blur.phase.known_window import phased_measurement
 from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
@@ -30,6 +31,7 @@ def measure_group(
     *,
     defocus: Sequence[Defocus] | Defocus | None = None,
     initial_guesses: Sequence[InitialGuess] | None = None,
+    harmonics: MotionHarmonics | None = None,
 ) -> Measurement:
     """Measure one steady motion from several frames opened at known phases.
 
@@ -46,6 +48,8 @@ def measure_group(
         Of each frame, or one for all.
     initial_guesses
         Expected place in each frame.
+    harmonics
+        Of the motion, where a gauge shows them.
 
     Returns
     -------
@@ -67,7 +71,7 @@ def measure_group(
     if not sharp.usable:
         return empty_measurement(sharp.name, {Flag.NOT_FOUND})
     if all(window.fraction < MEASURE.whole_cycle_tolerance and not window.is_coded for window in windows):
-        return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses)
+        return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses, harmonics)
     blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
     problems: list[FitProblem] = []
     for index, patch in enumerate(patches):
@@ -78,7 +82,7 @@ def measure_group(
         problems.append(problem)
     there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
     frame_set = FrameSet.from_problems(sharp.with_scale_uncertainty(there), problems, windows, blurs)
-    return phased_measurement(frame_set, fit_harmonic(frame_set))
+    return phased_measurement(*fit_with_harmonics(frame_set, harmonics))
 
 
 def _average_whole_cycles(
@@ -87,6 +91,7 @@ def _average_whole_cycles(
     windows: Sequence[ExposureWindow],
     defocus: Sequence[Defocus] | Defocus | None,
     initial_guesses: Sequence[InitialGuess] | None,
+    harmonics: MotionHarmonics | None,
 ) -> Measurement:
     """Mean over the frames, without phase: whole cycles give the same image whatever phase they begin at."""
     return average_measurements(
@@ -97,6 +102,7 @@ def _average_whole_cycles(
                 window=windows[index],
                 defocus=defocus[index] if isinstance(defocus, Sequence) else defocus,
                 initial_guess=None if initial_guesses is None else initial_guesses[index],
+                harmonics=harmonics,
             )
             for index, patch in enumerate(patches)
         ]

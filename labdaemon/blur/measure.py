@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from labdaemon.blur.fit.harmonic_refit import refit_with_harmonics
 from labdaemon.blur.fit.occlusion import fit_occluded, is_plain_dot
 from labdaemon.blur.fit.refit import contrast_ratio, failure_flags, refit_without_occluder
 from labdaemon.blur.fit.waveform_fit import measure_waveform
 from labdaemon.blur.fit.whole_cycles import measure_whole_cycles
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.phase.known_window import measure_known_window
@@ -31,6 +33,7 @@ def measure(
     orbit: bool = True,
     waveform: MotionWaveform | None = None,
     camera_shift_px: FloatArray | None = None,
+    harmonics: MotionHarmonics | None = None,
 ) -> Measurement:
     """Measure a target's motion.
 
@@ -53,6 +56,8 @@ def measure(
         A declared course of the displacement instead of a sinusoid: a is then the vector that multiplies it, b is none.
     camera_shift_px
         (2,) shift of the frame against the sharp one, added to the start when that comes from the sharp frame.
+    harmonics
+        Of the motion, where a gauge that moves with the target shows them: a and b are then the fundamental's.
 
     Returns
     -------
@@ -78,9 +83,10 @@ def measure(
             return measure_waveform(sharp, problem, blur, waveform)
         phased = window is not None and window.phase_rad is not None and fraction > MEASURE.whole_cycle_tolerance
         if window is not None and (phased or window.is_coded):
-            return measure_known_window(sharp, problem, blur, window, orbit=orbit)
+            return measure_known_window(sharp, problem, blur, window, orbit=orbit, harmonics=harmonics)
         flags = {Flag.PART_CYCLES} if fraction > MEASURE.part_cycle_limit else set()
-        return measure_whole_cycles(sharp, patch, problem, blur, orbit=orbit, flags=flags)
+        sine = measure_whole_cycles(sharp, patch, problem, blur, orbit=orbit, flags=flags)
+        return sine if harmonics is None else refit_with_harmonics(sharp, problem, blur, sine, harmonics)
 
     found = (
         fit(problem) if problem is not None else empty_measurement(sharp.name, failure_flags(sharp, patch, expected))

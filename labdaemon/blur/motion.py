@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.light_code import LightCode
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import UsageError
@@ -33,6 +34,8 @@ class ExposureWindow:
         Their standard deviations (timing jitter; shutter calibration).
     light
         Code of the lamp; None for constant light.
+    harmonics
+        Of the motion, where a gauge shows them; None for a sinusoid.
     """
 
     frequency_hz: float
@@ -41,6 +44,7 @@ class ExposureWindow:
     sd_phase_rad: float = 0.0
     sd_exposure_s: float = 0.0
     light: LightCode | None = None
+    harmonics: MotionHarmonics | None = None
 
     @property
     def cycles(self) -> float:

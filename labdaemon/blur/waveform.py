@@ -79,7 +79,7 @@ class MotionWaveform:
 
 
 def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:
-    """Sin ωt and cos ωt at the nodes of an exposure, and their weights.
+    """Sin ωt and cos ωt at the nodes of an exposure, each with its harmonics if there are any, and the nodes' weights.
 
     Whole cycles are evenly spaced nodes, the rest is Gauss–Legendre from the opening phase on. Coded light has its own
     nodes, sector by sector; ambient light adds those of the exposure, in proportion to its share of all light.
@@ -96,6 +96,9 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
     basis, weight
         (2, K) sin and cos; (K,).
     """
+    harmonics = window.harmonics
+    if harmonics is not None:
+        max_amplitude_px *= harmonics.bandwidth
     angle, weight = _exposure_nodes(window, max_amplitude_px)
     light = window.light
     if light is not None:
@@ -106,7 +109,7 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
         total = float(lamp_weight.sum()) + ambient
         angle = np.concatenate((lamp_angle, angle)) if ambient > 0 else lamp_angle
         weight = (np.concatenate((lamp_weight, weight * ambient)) if ambient > 0 else lamp_weight) / total
-    return np.stack((np.sin(angle), np.cos(angle))), weight
+    return np.stack((np.sin(angle), np.cos(angle))) if harmonics is None else harmonics.basis(angle), weight
 
 
 def _exposure_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:

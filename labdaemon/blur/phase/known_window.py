@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.motion import Defocus, ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.phase.harmonic_fit import HarmonicFit, fit_harmonic
+from labdaemon.blur.phase.harmonic_fit import HarmonicFit
+from labdaemon.blur.phase.harmonic_window import fit_with_harmonics
 from labdaemon.blur.phase.orbits import perpendicular
 from labdaemon.blur.phase.posterior import InPhaseMotion
 from labdaemon.blur.sharp.target import SharpTarget
@@ -18,7 +20,13 @@ from labdaemon.orbit_axes import orient_positive, principal_axes
 
 
 def measure_known_window(
-    sharp: SharpTarget, problem: FitProblem, blur: Defocus, window: ExposureWindow, *, orbit: bool
+    sharp: SharpTarget,
+    problem: FitProblem,
+    blur: Defocus,
+    window: ExposureWindow,
+    *,
+    orbit: bool,
+    harmonics: MotionHarmonics | None = None,
 ) -> Measurement:
     """One frame through a known window: the axes as over whole cycles, but without the bias of the part cycle.
 
@@ -26,7 +34,7 @@ def measure_known_window(
     `measure_group`. Under coded light it is.
     """
     frame_set = FrameSet.from_problems(sharp, [problem], [window], [blur])
-    found = fit_harmonic(frame_set, orbit=orbit)
+    frame_set, found = fit_with_harmonics(frame_set, harmonics, orbit=orbit)
     return phased_measurement(frame_set, found) if window.is_coded else drop_phase(sharp, found)
 
 

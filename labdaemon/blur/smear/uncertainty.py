@@ -10,8 +10,9 @@ the change of scale with depth (`SharpTarget.with_scale_uncertainty`). Then, in 
    the sd of a long path.
 2. *Residuals* larger than the noise model, or correlated, mean that the model or the noise model is incomplete.
    `robust_covariance` propagates them (White 1980, doi:10.2307/1912934).
-3. *Timing*: a window is known within the sd of its opening and of its length. `timing_covariance` adds their effect.
-   Reason: they are errors of the model, which no residual shows.
+3. *Timing and waveform*: a window is known within the sd of its opening and of its length, harmonics of the motion
+   within that of the gauge's fit. `timing_covariance` adds their effect. Reason: they are errors of the model, which no
+   residual shows.
 4. *Phase*: where the image hardly shows the phase, the covariance is that of all phases (`phase.posterior`,
    `phase.orbit_phase`). Reason: a linear covariance does not describe an arc.
 5. *The minor axis* of a path that was fitted as a straight one is unknown within the sd of its square.
@@ -37,6 +38,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft
 
+from labdaemon.blur.harmonics import MIN_HARMONIC_SD
+from labdaemon.blur.motion import ExposureWindow
 from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
 from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.pixels import FloatArray
@@ -86,26 +89,36 @@ def robust_covariance(sharp: SharpTarget, solution: Solution, planes: ColourPlan
 
 
 def timing_covariance(best: Solution, frame_set: FrameSet, transfer_factory: TransferFactory) -> FloatArray:
-    """(k, k) covariance by the sd of each window's opening and length (correction 3), by differences of the model."""
+    """(k, k) covariance by the sd of each window's opening, length and harmonics (correction 3), by differences."""
     size = len(best.p)
     total = np.zeros((size, size))
     windows = frame_set.windows
-    if all(window.sd_phase_rad <= 0 and window.sd_exposure_s <= 0 for window in windows):
+    if not any(_variations(window) for window in windows):
         return total
     reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[frame_set.first_motion :]))
     base, _ = frame_set.forward_model(transfer_factory, reach)(best.p)
     level = paper_level(frame_set.planes, best.light) * best.light[:, 3, None, None]
     for index, window in enumerate(windows):
-        later = replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad)
-        longer = replace(window, exposure_s=window.exposure_s + window.sd_exposure_s)
-        for other, sd in ((later, window.sd_phase_rad), (longer, window.sd_exposure_s)):
-            if sd <= 0:
-                continue
+        for other in _variations(window):
             changed = replace(frame_set, windows=[*windows[:index], other, *windows[index + 1 :]])
             moved, _ = changed.forward_model(transfer_factory, reach)(best.p)
             shift = np.einsum("knhw,nhw->k", best.influence, -level * (moved - base))
             total += np.outer(shift, shift)
     return total
+
+
+def _variations(window: ExposureWindow) -> list[ExposureWindow]:
+    """The window with each uncertain quantity changed by its standard deviation, one at a time."""
+    varied = []
+    if window.sd_phase_rad > 0:
+        varied.append(replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad))
+    if window.sd_exposure_s > 0:
+        varied.append(replace(window, exposure_s=window.exposure_s + window.sd_exposure_s))
+    harmonics = window.harmonics
+    for place, sd in enumerate(harmonics.sd if harmonics is not None else ()):
+        if harmonics is not None and sd > MIN_HARMONIC_SD:
+            varied += [replace(window, harmonics=harmonics.shifted(place, *step)) for step in ((sd, 0.0), (0.0, sd))]
+    return varied
 
 
 def straight_path_covariance(
