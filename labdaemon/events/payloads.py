@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema, model_validator
 
 from labdaemon.clock import rfc3339
-from labdaemon.plain_json import plain_text
-
 from labdaemon.events.gauge_motion import GaugeMotion
+from labdaemon.plain_json import plain_text
 
 if TYPE_CHECKING:
     from labdaemon.envelope import Envelope
