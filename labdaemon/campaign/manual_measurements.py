@@ -17,6 +17,7 @@ from labdaemon.durable import write_durably
 from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.journal import records, transitions
 from labdaemon.journal.gauge_records import gauges_of
+from labdaemon.journal.light_record import light_of
 from labdaemon.journal.records import NO_STEP, CaptureRecord
 
 GROUP_QUIET_S = 20.0
@@ -152,7 +153,9 @@ class ManualMeasurements:
         ]
         for one in pending:
             await recorder.write(transitions.describe_capture, one)
-            text = capture_toml(one, gauges_of(recorder.journal, one.campaign, one.name))
+            light = light_of(recorder.journal, one.campaign, one.name)
+            gauges = gauges_of(recorder.journal, one.campaign, one.name)
+            text = capture_toml(one, light, gauges)
             await recorder.on_disk(write_durably, capture_folder(self._context.data, one) / "capture.toml", text)
         await self._measure_all(pending)
 

@@ -61,9 +61,7 @@ def opening_phase(capture: CaptureRecord) -> float | None:
     return None if capture.phase_rad is None else capture.phase_rad % (2.0 * pi)
 
 
-def capture_toml(
-    capture: CaptureRecord, light: LightRecord | None = None, gauges: Sequence[GaugeMotion] = ()
-) -> str:
+def capture_toml(capture: CaptureRecord, light: LightRecord | None = None, gauges: Sequence[GaugeMotion] = ()) -> str:
     """The capture's `capture.toml`: what measuring needs to know of it, and what a person wants to."""
     phase_rad = opening_phase(capture)
     table: dict[str, Any] = {
