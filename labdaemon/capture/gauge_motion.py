@@ -112,8 +112,9 @@ def fit_gauges(reports: list[GaugeReport], capture: CaptureRecord) -> tuple[Gaug
 
 def _fit_gauge(report: GaugeReport, capture: CaptureRecord) -> GaugeMotion:
     about = {"gauge": report.gauge, "role": report.role, "unit": report.unit}
+    nothing = GaugeMotion(gauge=report.gauge, role=report.role, unit=report.unit)
     if report.record is None:
-        return GaugeMotion(**about, reason=report.reason)
+        return nothing.model_copy(update={"reason": report.reason})
     window, record = report.window, report.record
     frequency_hz = capture.frequency_hz
     # Time counts from the opening; without one it counts from the record's start, and no phase is reported.
@@ -124,10 +125,10 @@ def _fit_gauge(report: GaugeReport, capture: CaptureRecord) -> GaugeMotion:
         )
     except RecordError as exc:
         log.info("gauge %s during %s: %s", report.gauge, capture.name, exc)
-        return GaugeMotion(**about, reason=str(exc))
+        return nothing.model_copy(update={"reason": str(exc)})
     except Exception as exc:  # a lab's own driver may return anything, and the capture is worth more than its record
         log.exception("the record of gauge %s during %s could not be fitted", report.gauge, capture.name)
-        return GaugeMotion(**about, reason=f"its record could not be fitted ({type(exc).__name__})")
+        return nothing.model_copy(update={"reason": f"its record could not be fitted ({type(exc).__name__})"})
     opening = capture if math.isfinite(window.opened_s) else None
     return GaugeMotion.model_validate({**about, **_numbers(fit, report, opening)})
 
