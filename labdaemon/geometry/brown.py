@@ -11,6 +11,7 @@ and the ray through the pixel (u, v), pixel centres at integers, has the slopes 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from labdaemon.errors import DataError
 from labdaemon.geometry.lens import Lens
 from labdaemon.geometry.motion import FloatArray
+from labdaemon.least_squares import damped_step, minimise
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +167,28 @@ class BrownLens:
         return by_pixel
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _LensFit:
+    """A lens against pixels: (n, 9) derivatives by its parameters and (n,) what it misses, px, where both are known."""
+
+    lens: Lens
+    design: FloatArray
+    miss: FloatArray
+
+    @classmethod
+    def of(cls, lens: Lens, pixels: FloatArray, slopes: FloatArray) -> _LensFit:
+        """Linearise a lens at rays of these slopes (n, 2), which belong to `pixels` (n, 2)."""
+        design = lens.parameter_jacobian(slopes).reshape(-1, 9)
+        miss = (pixels - lens.distort(slopes)).ravel()
+        usable = np.isfinite(miss) & np.isfinite(design).all(axis=1)
+        return cls(lens, design[usable], miss[usable])
+
+    @property
+    def cost(self) -> float:
+        """Mean squared miss, px²: a mean, since a step may bring rays into the model; inf where hardly any is in it."""
+        return float(self.miss @ self.miss) / len(self.miss) if len(self.miss) > len(self.design.T) else math.inf
+
+
 def forward_from_backward(brown: BrownLens) -> tuple[Lens, float]:
     """OpenCV's model of a lens given in Brown's.
 
@@ -187,18 +211,16 @@ def forward_from_backward(brown: BrownLens) -> tuple[Lens, float]:
     centre = (brown.principal_point_mm[0] / height - 0.5, brown.principal_point_mm[1] / height - 0.5)
     lens = Lens(brown.image_size, focal, centre)
     nothing = "this lens has no counterpart in OpenCV's model: check its coefficients and units"
-    for _ in range(20):
-        design = lens.parameter_jacobian(slopes).reshape(-1, 9)
-        miss = (pixels - lens.distort(slopes)).ravel()
-        usable = np.isfinite(miss) & np.isfinite(design).all(axis=1)
-        scale = np.linalg.norm(design[usable], axis=0)
-        step = np.linalg.lstsq(design[usable] / scale, miss[usable], rcond=None)[0] / scale
+
+    def try_step(here: _LensFit, damping: float) -> tuple[_LensFit | None, bool]:
+        step = damped_step(here.design.T @ here.design, here.design.T @ here.miss, damping)
+        is_small = bool(np.all(np.abs(step) <= 1e-12 * (1.0 + np.abs(here.lens.parameters))))
         try:
-            lens = lens.with_parameters(lens.parameters + step)
-        except DataError as exc:
-            raise DataError(nothing) from exc
-        if np.all(np.abs(step) <= 1e-12 * (1.0 + np.abs(lens.parameters))):
-            break
+            return _LensFit.of(here.lens.with_parameters(here.lens.parameters + step), pixels, slopes), is_small
+        except DataError:  # a shorter step may stay within what a lens can be
+            return None, is_small
+
+    lens = minimise(_LensFit.of(lens, pixels, slopes), try_step, max_steps=40).at.lens
     worst = float(np.abs(pixels - lens.distort(slopes)).max())
     if not worst < 0.01 * max(brown.image_size):
         raise DataError(nothing)

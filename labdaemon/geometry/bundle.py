@@ -17,6 +17,7 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.network import Network, check_network
 from labdaemon.geometry.normal_equations import LinearisedNetwork, NormalEquations, apply_change, form_normal, linearise
+from labdaemon.least_squares import DampingRule, minimise
 
 _CHUNK = 4000  # observations or points whose dense rows are held at once
 
@@ -123,6 +124,19 @@ class Adjustment:
         return result
 
 
+DAMPING = DampingRule(start=1e-4, relaxed=0.05, raised=20.0, most=1e8)
+"""A network of many cameras starts further off than a single one, and a step costs more: λ moves in longer strides."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _AdjustedNetwork:
+    """A network, linearised there, with its weighted sum of squares."""
+
+    network: Network
+    linear: LinearisedNetwork
+    cost: float
+
+
 def adjust_network(network: Network, *, names: Sequence[str] | None = None, max_steps: int = 60) -> Adjustment:
     """Adjust a network by Levenberg–Marquardt to the last digit.
 
@@ -152,24 +166,20 @@ def adjust_network(network: Network, *, names: Sequence[str] | None = None, max_
     cost = linear.cost(network)
     if not np.isfinite(cost):
         raise DataError("the starting values put points behind a camera or outside its lens model")
-    damping, steps, converged = 1e-4, 0, False
-    while steps < max_steps and not converged:
-        steps += 1
-        normal = form_normal(network, linear, damping)
-        cameras, points = normal.solve()
-        trial = apply_change(network, cameras, points)
-        there = linearise(trial, surveyed)
-        value = there.cost(trial)
+
+    def try_step(here: _AdjustedNetwork, damping: float) -> tuple[_AdjustedNetwork, bool]:
+        trial = apply_change(here.network, *form_normal(here.network, here.linear, damping).solve())
+        linear = linearise(trial, surveyed)
+        there = _AdjustedNetwork(trial, linear, linear.cost(trial))
         # A last gain of 1e-10 is a change of the unknowns by a hundred-thousandth of their standard deviation.
-        converged = damping <= 1e-3 and abs(cost - value) <= 1e-10 * cost + 1e-14 * len(network.image)
-        if value <= cost or (converged and np.isfinite(value)):
-            network, linear, cost, damping = trial, there, value, max(damping * 0.05, 1e-12)
-        elif damping > 1e8:
-            break
-        else:
-            damping *= 20.0
-    if not converged:
+        gain = abs(here.cost - there.cost)
+        return there, damping <= 1e-3 and gain <= 1e-10 * here.cost + 1e-14 * len(trial.image)
+
+    minimum = minimise(_AdjustedNetwork(network, linear, cost), try_step, rule=DAMPING, max_steps=max_steps)
+    steps = minimum.steps
+    if not minimum.converged:
         raise DataError(f"the adjustment did not converge in {steps} steps: check the starting values and identities")
+    network, linear, cost = minimum.at.network, minimum.at.linear, minimum.at.cost
     normal = form_normal(network, linear)
     inverse = normal.cofactor()
     cameras_count = linear.by_camera.shape[1]

@@ -19,9 +19,19 @@ from scipy.stats import chi2
 from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray
 from labdaemon.geometry.settings import SNOOPING
-from labdaemon.least_squares import cauchy_weight, damped_step
+from labdaemon.least_squares import cauchy_weight, damped_step, minimise, unit_scale
 
 State = TypeVar("State")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointEquations(Generic[State]):
+    """Normal equations at one state: (m, m) matrix and (m,) gradient, with the cost there."""
+
+    state: State
+    cost: float
+    normal: FloatArray
+    gradient: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,29 +66,20 @@ class RobustPointAdjustment(Generic[State]):
     def adjust(self, state: State, weights: FloatArray, *, robust: bool = False, steps: int = 50) -> State:
         """Levenberg–Marquardt; `robust` reweights by Cauchy's function on the way."""
         here = self._normal(state, weights, robust)
-        damping = 1e-6
-        for _ in range(steps):
-            if here is None:
-                return state
-            value, normal, gradient = here
-            step = damped_step(normal, gradient, damping)
-            if not np.isfinite(step).all():
-                return state
-            trial = self.move(state, step)
-            there = self._normal(trial, weights, robust)
-            small = float(step @ normal @ step) < 1e-16
-            if there is not None and (there[0] <= value or small):
-                state, here, damping = trial, there, max(damping * 0.1, 1e-12)
-            elif damping > 1e6:
-                return state
-            else:
-                damping = max(damping * 10.0, 1e-6)
-            if small:
-                break
-        return state
+        if here is None:
+            return state
 
-    def _normal(self, state: State, weights: FloatArray, robust: bool) -> tuple[float, FloatArray, FloatArray] | None:
-        """Cost, normal matrix and gradient; None when too few points can be seen."""
+        def try_step(here: PointEquations[State], damping: float) -> tuple[PointEquations[State] | None, bool]:
+            step = damped_step(here.normal, here.gradient, damping)
+            if not np.isfinite(step).all():
+                return None, True  # the points say nothing more: what was reached stays
+            is_small = float(step @ here.normal @ step) < 1e-16
+            return self._normal(self.move(here.state, step), weights, robust), is_small
+
+        return minimise(here, try_step, max_steps=steps).at.state
+
+    def _normal(self, state: State, weights: FloatArray, robust: bool) -> PointEquations[State] | None:
+        """Normal equations at a state; None when too few points can be seen."""
         residuals, covariances, jacobian = self.linearise(state)
         squares = squared_normalised_residuals(residuals, covariances)
         usable = np.isfinite(squares) & (weights > 0)
@@ -100,7 +101,7 @@ class RobustPointAdjustment(Generic[State]):
             normal = normal + np.diag(self.prior)
             gradient = gradient - self.prior * np.asarray(state)
             value += float(self.prior @ np.asarray(state) ** 2)
-        return value, normal, gradient
+        return PointEquations(state, value, normal, gradient)
 
     def covariance(self, state: State, used: NDArray[np.bool_]) -> FloatArray:
         """(m, m) covariance of the parameters from the points in use.
@@ -115,7 +116,7 @@ class RobustPointAdjustment(Generic[State]):
         normal = np.einsum("nij,nik->jk", jacobian, np.linalg.solve(covariances[used], jacobian))
         if self.prior is not None:
             normal = normal + np.diag(self.prior)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scale = 1.0 / unit_scale(normal)
         scaled = normal * np.outer(scale, scale)
         if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1e13:
             raise DataError("the control targets do not fix the camera: they lie too close together or in a line")

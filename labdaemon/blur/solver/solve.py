@@ -4,6 +4,10 @@ A pixel of channel c is L_c(x)·(1 − k_c·m(x; p)) with L_c = w0 + w1·x + w2�
 contrast of ink against paper and m the modelled darkness. Each channel's four numbers are eliminated from the normal
 equations (variable projection; Golub and Pereyra 1973, doi:10.1137/0710036), so that the system that remains is
 as small as the motion itself. Damping is that of Marquardt (1963, doi:10.1137/0111030).
+
+Step, scale and covariance are those of `labdaemon.least_squares`. The loop is not its `minimise`, which compares sums
+of squares under one weighting: here the weights follow the model for two iterations and are then frozen, the light goes
+along with each step, and the last step is taken to first order, without another look at the image, which costs most.
 """
 
 from __future__ import annotations
