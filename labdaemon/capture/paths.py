@@ -16,6 +16,7 @@ from labdaemon.events import GaugeMotion
 from labdaemon.journal.light_record import LightRecord
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
 
+TURN = 2.0 * pi
 LONGEST_NAME = 80
 _ENDING = re.compile(r"\.[a-z0-9]{1,5}")
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]")
@@ -58,7 +59,13 @@ def set_aside_path(data: Path, campaign: str, capture: str, camera: str, name: s
 
 def opening_phase(capture: CaptureRecord) -> float | None:
     """Excitation phase at the cameras' mean opening, radians in [0, 2π); None where it was not seen."""
-    return None if capture.phase_rad is None else capture.phase_rad % (2.0 * pi)
+    return None if capture.phase_rad is None else _wrap_phase(capture.phase_rad)
+
+
+def _wrap_phase(phase_rad: float) -> float:
+    """The phase in [0, 2π)."""
+    wrapped = phase_rad % TURN
+    return wrapped if wrapped < TURN else 0.0  # of a negative number near zero, % is a whole turn
 
 
 def capture_toml(capture: CaptureRecord, light: LightRecord | None = None, gauges: Sequence[GaugeMotion] = ()) -> str:
@@ -87,9 +94,8 @@ def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> dict[str,
     if phase_rad is None or capture.frequency_hz is None or not capture.opening_s:
         return {}
     mean_s = sum(capture.opening_s.values()) / len(capture.opening_s)
-    turn = 2.0 * pi
     return {
-        camera: {"phase_rad": (phase_rad + turn * capture.frequency_hz * (opening_s - mean_s)) % turn}
+        camera: {"phase_rad": _wrap_phase(phase_rad + TURN * capture.frequency_hz * (opening_s - mean_s))}
         for camera, opening_s in sorted(capture.opening_s.items())
     }
 
