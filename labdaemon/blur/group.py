@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labdaemon.blur.average import average_measurements
+from labdaemon.blur.fit.label_edge import prepare_on_label
 from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
@@ -16,7 +17,7 @@ from labdaemon.blur.phase.known_window import phased_measurement
 from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
-from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
+from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
@@ -75,8 +76,8 @@ def measure_group(
     blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
     problems: list[FitProblem] = []
     for index, patch in enumerate(patches):
-        expected = initial_guesses[index].centre_px if initial_guesses is not None else sharp.centre_px
-        problem = prepare_fit(sharp, patch, np.asarray(expected, dtype=np.float64))
+        guess = initial_guesses[index] if initial_guesses is not None else InitialGuess(sharp.centre_px)
+        problem = prepare_on_label(sharp, patch, guess)
         if problem is None:
             return empty_measurement(sharp.name, {Flag.NOT_FOUND})
         problems.append(problem)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from labdaemon.blur.fit.harmonic_refit import refit_with_harmonics
+from labdaemon.blur.fit.label_edge import measure_on_label, reaches_patch
 from labdaemon.blur.fit.occlusion import fit_occluded, is_plain_dot
 from labdaemon.blur.fit.refit import contrast_ratio, failure_flags, refit_without_occluder
 from labdaemon.blur.fit.waveform_fit import measure_waveform
@@ -72,10 +75,40 @@ def measure(
     lit = patch.values[patch.valid & np.isfinite(patch.values)]
     if not np.any(lit > 0):
         return empty_measurement(sharp.name, failure_flags(sharp, patch, expected))
+    guess = initial_guess if initial_guess is not None else InitialGuess(expected)
+    blur = defocus if defocus is not None else default_defocus(sharp)
+    options = _Options(window, blur, orbit, waveform, harmonics)
+
+    def attempt(part: Patch, start: InitialGuess, search_occluder: bool) -> Measurement:
+        return _measure_patch(sharp, part, start, options, search_occluder=search_occluder)
+
+    if sharp.outline is not None and reaches_patch(sharp.outline, patch, guess):
+        return measure_on_label(sharp, sharp.outline, patch, guess, attempt)
+    return attempt(patch, InitialGuess(expected), True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Options:
+    """What a fit is to assume: see `measure`."""
+
+    window: ExposureWindow | None
+    blur: Defocus
+    orbit: bool
+    waveform: MotionWaveform | None
+    harmonics: MotionHarmonics | None
+
+
+def _measure_patch(
+    sharp: SharpTarget, patch: Patch, guess: InitialGuess, options: _Options, *, search_occluder: bool
+) -> Measurement:
+    """Fit one patch; where that fails, perhaps again without what hides a part of the target."""
+    expected = np.asarray(guess.centre_px, dtype=np.float64)
     problem = prepare_fit(sharp, patch, expected)
     if problem is not None:
+        problem = problem.starting_from(sharp, guess)
         sharp = sharp.with_scale_uncertainty(problem.initial_centre_px)
-    blur = defocus if defocus is not None else default_defocus(sharp)
+    window, blur, orbit = options.window, options.blur, options.orbit
+    waveform, harmonics = options.waveform, options.harmonics
     fraction = 0.0 if window is None else window.fraction
 
     def fit(problem: FitProblem) -> Measurement:
@@ -95,7 +128,7 @@ def measure(
         return empty_measurement(sharp.name, {Flag.NOT_FOUND})
     if problem is not None and not (found.chi2 > MEASURE.occlusion_chi2 and Flag.POOR_FIT in found.flags):
         return found
-    if Flag.POOR_FIT in sharp.flags:
+    if Flag.POOR_FIT in sharp.flags or not search_occluder:
         return found
     if is_plain_dot(sharp):
         places = [place for place in (found.centre_px, expected, sharp.centre_px) if np.isfinite(place).all()]

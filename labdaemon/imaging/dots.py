@@ -117,7 +117,8 @@ def find_dots(
             semi_major_px=c.shape.semi_major_px,
             semi_minor_px=c.shape.semi_minor_px,
             angle_rad=c.shape.angle_rad,
-            paper_px=extent,
+            paper_px=float(extent.min()),
+            label_px=tuple(extent.tolist()),
         )
         for c, extent in zip(kept, extents, strict=True)
     ]

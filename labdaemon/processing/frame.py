@@ -253,11 +253,13 @@ def _measure_one(camera: PreparedCamera, located: _LocatedTargets, window: Expos
     for index, one in measured(located.smears).items():
         seen = unknown and bool(np.isfinite(one.a_px).all())
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
-    # What was not found may be where its neighbours say, behind something. Anything else there is not this target.
+    # What was not found may be where its neighbours say, behind something, or with the end of its label in its blur.
+    # Anything else there is not this target.
     rest_px = camera.centres_px + located.shift.at(camera.centres_px)
     expected = predict_missing(rest_px, located.smears)
     for index, one in measured([expected.get(index) for index in range(len(camera.targets))]).items():
-        if Flag.OCCLUDED in one.flags:
+        on_label = camera.targets[index].outline is not None and bool(np.isfinite(one.a_px).all())
+        if one.flags & {Flag.OCCLUDED, Flag.PAPER_EDGE} or (on_label and Flag.POOR_FIT not in one.flags):
             result[index] = one
     return result
 

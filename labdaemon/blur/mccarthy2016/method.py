@@ -76,8 +76,9 @@ def measure_mccarthy2016(
     near = np.array([(width - 1) / 2.0, (height - 1) / 2.0]) if start_px is None else start_px - origin
     ink, radius = _estimate_contrast(sharp, dot), dot.semi_major_px
     still_at = np.array([dot.x_px, dot.y_px])
-    still = label_darkness(sharp, ink, still_at, radius, min(dot.paper_px, 2.0 * radius + 12.0))
-    dark = label_darkness(blurred, ink, near + origin, radius, dot.paper_px)
+    edge_px = dot.paper_px + 1.0  # paper is known up to a sample before its edge
+    still = label_darkness(sharp, ink, still_at, radius, min(edge_px, 2.0 * radius + 12.0))
+    dark = label_darkness(blurred, ink, near + origin, radius, edge_px)
     sharp_dot = _SharpDot(still, still_at - np.asarray(sharp.origin_px), radius)
     rapid = rapid_estimate(dark, (float(near[0]), float(near[1])))
     laid = None if rapid is None else _lay_profiles(dark, sharp_dot, rapid, profiles)

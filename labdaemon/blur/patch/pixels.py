@@ -97,6 +97,9 @@ class Dot:
         Distance from the centre to the nearest edge of the white paper (what the smear may not reach); inf if unknown.
     name
         The target's name, empty until it has one.
+    label_px
+        Distance from the centre to the end of the paper along rays evenly around it, from +x towards +y; empty if
+        unknown.
     """
 
     x_px: float
@@ -106,3 +109,4 @@ class Dot:
     angle_rad: float
     paper_px: float = float("inf")
     name: str = ""
+    label_px: tuple[float, ...] = ()

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from labdaemon.blur.label_settings import LABEL_EDGE
 from labdaemon.blur.patch.colour_planes import ColourPlanes, FrequencyGrid, make_grid, make_planes
 from labdaemon.blur.patch.illumination import paper_level
+from labdaemon.blur.patch.label_outline import LabelOutline
 from labdaemon.blur.patch.locate import Blob, find_blob, mask_pixels
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.paper_texture import estimate_residual_noise
@@ -97,7 +99,10 @@ def _fit_once(
     blob = find_blob(cut, np.array([dot.x_px, dot.y_px]), area, None)
     if blob is None or not 0.3 < blob.area_px2 / area < 3.0:
         return _empty_target(dot, cut, first, noise is not None, saturated=_all_hidden(cut))
+    outline = LabelOutline(dot.label_px) if dot.label_px else None
     paper = find_paper(cut, np.array([dot.x_px, dot.y_px]), dot.semi_major_px)
+    if outline is not None and not full_patch:
+        paper &= _on_label(outline, dot, cut)
     planes = make_planes(mask_pixels(cut, ~paper))
     solution, lens = _fit_dot(dot, planes, _noise_of_mean(first, count), blob)
     template_residual = _template_residual(planes, paper, solution)
@@ -110,6 +115,7 @@ def _fit_once(
     if texture_only and used.texture > 0:
         template_residual = None
     target = _build_target(dot, planes, template_residual, solution, lens, used, noise_known)
+    target = replace(target, outline=outline)
     if not noise_known or not target.usable or template_residual is not None:
         return target
     radius = max(target.form.half_size_px)
@@ -117,6 +123,15 @@ def _fit_once(
     texture_map, seen = map_paper_texture(patch, planes, solution, target.centre_px, radius, dot.paper_px, averaged)
     texture = used.texture if noise is not None and noise.texture else seen.texture
     return replace(target, texture_map=texture_map, noise=replace(used, texture=texture, texture_px=seen.texture_px))
+
+
+def _on_label(outline: LabelOutline, dot: Dot, cut: Patch) -> BoolArray:
+    """(h, w) pixels on the label, without its blurred end: the ground may be nearly as light as the label."""
+    height, width = cut.shape
+    x: FloatArray = np.arange(width, dtype=np.float64) + (cut.origin_px[0] - dot.x_px)
+    y: FloatArray = (np.arange(height, dtype=np.float64) + (cut.origin_px[1] - dot.y_px))[:, None]
+    result: BoolArray = outline.covers(x, y, LABEL_EDGE.sharp_margin_px) | (np.hypot(x, y) < dot.semi_major_px + 1.5)
+    return result
 
 
 def _noise_of_mean(noise: NoiseModel, frames: int) -> NoiseModel:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.blur.patch.colour_planes import FrequencyGrid
+from labdaemon.blur.patch.label_outline import LabelOutline
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, NoiseModel
 from labdaemon.blur.settings import TARGET_SHAPE
 from labdaemon.blur.sharp.template_residual import TemplateResidual
@@ -212,6 +213,10 @@ class SharpTarget:
         Mean squared normalised residual of the sharp fit.
     flags
         `poor_fit` for a sharp frame that is itself blurred or not a dot, `saturated`, `not_found`.
+    texture_map
+        Paper texture around it, where it was mapped.
+    outline
+        Where its label ends; None where that is not known.
     """
 
     name: str
@@ -225,6 +230,7 @@ class SharpTarget:
     chi2: float = 1.0
     flags: frozenset[Flag] = field(default_factory=frozenset)
     texture_map: PaperTextureMap | None = None
+    outline: LabelOutline | None = None
 
     def with_scale_uncertainty(self, place_px: FloatArray) -> SharpTarget:
         """The target where its mean position is another than at rest: its size is known less well there.

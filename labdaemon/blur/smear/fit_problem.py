@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from labdaemon.blur.motion import InitialGuess
 from labdaemon.blur.patch.colour_planes import ColourPlanes, FrequencyGrid, make_grid, make_planes
 from labdaemon.blur.patch.locate import Blob, find_blob, mask_pixels
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, Patch
@@ -74,6 +75,15 @@ class FitProblem:
     def shape_count(self) -> int:
         """Number of the shape parameters."""
         return len(self.rest_spectra.by_shape)
+
+    def starting_from(self, sharp: SharpTarget, guess: InitialGuess) -> FitProblem:
+        """The same where the motion is roughly known: the part of a blur that a mask leaves has other moments."""
+        if self.blob is None or guess.a_px is None:
+            return self
+        b = guess.b_px if guess.b_px is not None else np.zeros(2)
+        moment = sharp.form.moment_px2 + (np.outer(guess.a_px, guess.a_px) + np.outer(b, b)) / 2
+        place = np.asarray(guess.centre_px, dtype=np.float64)
+        return replace(self, initial_centre_px=place, blob=replace(self.blob, moment_px2=moment, centre_px=place))
 
 
 def prepare_fit(
