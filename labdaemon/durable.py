@@ -42,7 +42,7 @@ durable as the server makes them, and no program can do better; an I/O error is 
 CANNOT_OPEN_FOLDER = CANNOT_SYNC | {errno.EACCES, errno.EPERM}
 """A folder may be writable and yet not readable: then it cannot be opened to be synced."""
 
-PROBE_BYTES = 1 << 16
+PROBE_BYTES = 1 << 16  # larger than what a full file system still finds room for in its metadata
 
 _warned: set[tuple[int, str]] = set()
 """File systems (device number) about which a warning was logged, and which warning."""
@@ -157,9 +157,9 @@ def is_being_written(part: Path) -> bool:
         return False
     try:
         os.kill(int(number), 0)
-    except PermissionError:
+    except PermissionError:  # it lives, as another user's process
         return True
-    except (OSError, OverflowError):
+    except (OSError, OverflowError):  # no process has this number
         return False
     return True
 

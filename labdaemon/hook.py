@@ -15,13 +15,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO
 
-KEPT_BYTES = 4096
-BLOCK_BYTES = 1 << 16
+KEPT_BYTES = 4096  # the last words are what a person wants to read
+BLOCK_BYTES = 1 << 16  # a pipe holds as much
 
 LAST_OUTPUT_S = 0.5
 """How long to read on after the command's end: what it wrote last is still in the pipe."""
 
-LONGEST_LINE = 200
+LONGEST_LINE = 200  # of the log
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def run_hook(command: Sequence[str], timeout_s: float, stdin: bytes = b"") -> Ho
 
 def _read(stream: IO[bytes], kept: bytearray) -> None:
     """Read to the end, so that the command never waits for a full pipe, and keep the last of it."""
-    with suppress(OSError, ValueError), stream:
+    with suppress(OSError, ValueError), stream:  # the command's end closed it: what has come is kept
         while block := os.read(stream.fileno(), BLOCK_BYTES):
             kept += block
             del kept[:-KEPT_BYTES]

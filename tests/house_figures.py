@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
+import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import TypeGuard
 
 ROOT = Path(__file__).resolve().parents[1]
 CODE = (ROOT / "labdaemon", ROOT / "drivers")
@@ -52,9 +55,11 @@ class Figures:
     mocks
         Mocks in the tests.
     code_lines, test_lines
-        Lines that are not empty.
+        Lines of code (`LineCounts.code`): neither empty nor comment nor documentation.
     comments
-        Share of code lines with a comment.
+        Comments as a share of code lines (`LineCounts.comments`).
+    unannotated
+        Public attributes in `labdaemon` without a type of their own.
     """
 
     module_lines: list[int]
@@ -68,6 +73,7 @@ class Figures:
     code_lines: int
     test_lines: int
     comments: float
+    unannotated: list[str]
 
     @property
     def repeated_classes(self) -> list[str]:
@@ -94,8 +100,9 @@ class Figures:
                 f"class names used twice: {self.repeated_classes}",
                 f"class names that are participles or adjectives: {self.participles}",
                 f"mocks: {self.mocks}",
-                f"tests : code = {self.test_lines / self.code_lines:.2f}",
+                f"tests : code = {self.test_lines / self.code_lines:.3f} ({self.test_lines} : {self.code_lines} lines)",
                 f"comments: {100 * self.comments:.1f} % of code lines",
+                f"public attributes without a type: {len(self.unannotated)}",
             )
         )
 
@@ -106,18 +113,97 @@ def sources(*folders: Path) -> Iterator[Path]:
         yield from sorted(folder.rglob("*.py"))
 
 
+@dataclass(frozen=True)
+class LineCounts:
+    """Lines of one file.
+
+    Attributes
+    ----------
+    code
+        Lines with code, strings in expressions included; no empty lines, comments or docstrings.
+    comments
+        Lines with a comment (``#``), and lines of the string under an assignment, which documents one setting (other
+        houses write ``#:`` there).
+    """
+
+    code: int
+    comments: int
+
+
+def count_lines(text: str, tree: ast.Module) -> LineCounts:
+    """Count the lines of one file."""
+    docstrings: set[int] = set()
+    settings: set[int] = set()
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        for place, one in enumerate(body if isinstance(body, list) else []):
+            if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
+                lines = range(one.lineno, (one.end_lineno or one.lineno) + 1)
+                (settings if place else docstrings).update(lines)
+    code: set[int] = set()
+    comments: set[int] = set()
+    layout = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            comments.add(token.start[0])
+        elif token.type not in layout:
+            code.update(range(token.start[0], token.end[0] + 1))
+    return LineCounts(len(code - docstrings - settings), len(comments | settings))
+
+
+def unannotated_attributes(tree: ast.Module) -> Iterator[str]:
+    """``Class.attribute`` of public attributes that an `__init__` sets to something else than its own parameter.
+
+    A type checker infers these, and two checkers may infer different types: pyright calls them ambiguous.
+    """
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
+            continue
+        declared = {one.target.id for one in node.body if isinstance(one, ast.AnnAssign) and _is_name(one.target)}
+        for method in node.body:
+            if isinstance(method, ast.FunctionDef) and method.name == "__init__":
+                yield from (f"{node.name}.{name}" for name in _inferred(method) if name not in declared)
+
+
+def _inferred(method: ast.FunctionDef) -> Iterator[str]:
+    parameters = {one.arg for one in [*method.args.posonlyargs, *method.args.args, *method.args.kwonlyargs]}
+    annotated: set[str] = set()
+    for node in ast.walk(method):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Attribute):
+            annotated.add(node.target.attr)
+    for node in ast.walk(method):
+        if isinstance(node, ast.Assign):
+            is_parameter = isinstance(node.value, ast.Name) and node.value.id in parameters
+            for target in node.targets:
+                parts = target.elts if isinstance(target, ast.Tuple) else [target]
+                for part in parts:
+                    is_known = is_parameter and part is target
+                    if _is_own(part) and not (is_known or part.attr.startswith("_") or part.attr in annotated):
+                        yield part.attr
+
+
+def _is_name(node: ast.expr) -> TypeGuard[ast.Name]:
+    return isinstance(node, ast.Name)
+
+
+def _is_own(node: ast.expr) -> TypeGuard[ast.Attribute]:
+    return isinstance(node, ast.Attribute) and _is_name(node.value) and node.value.id == "self"
+
+
 def measure() -> Figures:
     """Count everything."""
     module_lines, function_lines, slots, filled = [], [], 0, 0
     classes: Counter[str] = Counter()
     code_lines = comment_lines = 0
+    unannotated: list[str] = []
     for path in sources(*CODE):
         text = path.read_text(encoding="utf-8")
         tree = ast.parse(text)
         module_lines.append(len(text.splitlines()))
-        lines = [line.strip() for line in text.splitlines() if line.strip()]
-        code_lines += len(lines)
-        comment_lines += sum("#" in line and not line.startswith(('"', "'")) for line in lines)
+        counts = count_lines(text, tree)
+        code_lines, comment_lines = code_lines + counts.code, comment_lines + counts.comments
+        if ROOT / "labdaemon" in path.parents:
+            unannotated += [f"{path.relative_to(ROOT)}: {name}" for name in unannotated_attributes(tree)]
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 classes[node.name] += 1
@@ -139,8 +225,9 @@ def measure() -> Figures:
         sorted(name for name in classes if PARTICIPLE.match(name) and name not in NOUNS),
         sum(len(re.findall(r"\b(Mock|MagicMock|AsyncMock|mock\.patch|mocker)\b", text)) for text in tests),
         code_lines,
-        sum(sum(bool(line.strip()) for line in text.splitlines()) for text in tests),
+        sum(count_lines(text, ast.parse(text)).code for text in tests),
         comment_lines / code_lines,
+        unannotated,
     )
 
 

@@ -27,10 +27,10 @@ from labdrivers.reading_times import ReadingTimes
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings
 
-KEEP_S = 60.0
-FIRST_READING_S = 2.0
-STUCK_READINGS = 100
-RATE_TOLERANCE = 0.05
+KEEP_S = 60.0  # what is kept of the readings; a longer record is refused
+FIRST_READING_S = 2.0  # a gauge that has sent nothing by then is silent, unplugged or set to another rate
+STUCK_READINGS = 100  # equal to the last digit: noise alone would change it
+RATE_TOLERANCE = 0.05  # timers in software drift by a per cent or two
 MOST_BAD = 0.03
 """Share of a record that may be without a number, or outliers."""
 OUTLIER = 10.0

@@ -32,7 +32,7 @@ class LineParser:
             value = float(line.decode("ascii").split(self._separator)[self._column])
             if math.isfinite(value):
                 return value
-        except (ValueError, IndexError):
+        except (ValueError, IndexError):  # no number in this line, as after a glitch of the wire
             pass
         return math.nan  # rubbish, or a gauge whose target is out of range
 

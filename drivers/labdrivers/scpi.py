@@ -26,8 +26,8 @@ from labdrivers.scpi_settings import STOPPING, ShakerSettings
 from labdrivers.serial_line import SerialLine
 from labdrivers.settings import read_settings, readable_settings
 
-RAMP_TICK_S = 0.05
-STOP_TRIES = 3
+RAMP_TICK_S = 0.05  # steps so short that the table does not jump
+STOP_TRIES = 3  # one broken answer must not keep the output on
 STOP_ANSWER_S = 0.5
 """A controller that is silent for so long during a stop is stopped hard, on a wire opened anew."""
 STOP_RAMP_S = 1.5
@@ -352,7 +352,7 @@ class ScpiShaker:
         if self._table is not None:
             try:
                 mm_per_v = self._table.mm_per_v(frequency_hz)
-            except LimitError:
+            except LimitError:  # the caller refuses a level that is not a number
                 return math.nan
         return LEVELS[self._commands.level_name](frequency_hz, mm_per_v) / self._trim
 

@@ -19,8 +19,8 @@ from labdrivers.serial_line import SerialLine
 
 LONGEST_QUEUE = 30
 """Keysight's error queues hold 20; more entries than this are no queue."""
-IDENTITY_TRIES = 4
-HASTY_TRIES = 3
+IDENTITY_TRIES = 4  # late answers of an earlier program are read away first
+HASTY_TRIES = 3  # on the way to a stop there is less time
 
 T = TypeVar("T")
 

@@ -24,8 +24,8 @@ from labdrivers.settings import read_settings, readable_settings
 from labdrivers.trigger_lamp import PERIOD_WITHIN, LampControl
 from labdrivers.trigger_wire import LAST_SEQUENCE, OUTPUTS, decode, elapsed_us, encode
 
-TRIES = 3
-POLL_S = 0.01
+TRIES = 3  # a line may be spoilt by a spark of the amplifier; the box does nothing twice
+POLL_S = 0.01  # a shot's times are asked for until its contacts have closed
 URGENT_SEQUENCE = LAST_SEQUENCE
 """Number of the drop that is sent past whatever the wire is busy with; ordinary requests never have it."""
 TURN_S = 0.6

@@ -61,12 +61,12 @@ from __future__ import annotations
 import binascii
 from dataclasses import dataclass
 
-CLOCK_WRAP = 2**32
-LAST_SEQUENCE = 65535
-OUTPUTS = 4
+CLOCK_WRAP = 2**32  # 71 minutes of microseconds
+LAST_SEQUENCE = 65535  # sixteen bits, 0 left out
+OUTPUTS = 4  # cameras that one box releases
 TURN_PARTS = 65536
 FULL_LEVEL = 255
-LONGEST_HOLD_MS = 5000
+LONGEST_HOLD_MS = 5000  # the box refuses more, so that a lost drop ends by itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def decode(start: str, line: bytes) -> WireMessage | None:
             return None
         words = body.decode("ascii").split(" ")
         sequence = int(words[0])
-    except ValueError:
+    except ValueError:  # no number where the protocol has one: rubbish
         return None
     if not 0 < sequence <= LAST_SEQUENCE:
         return None

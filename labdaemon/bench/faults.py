@@ -126,7 +126,7 @@ class FaultTrial:
     def _first_fault(self, seq: int) -> str | None:
         try:
             events = self._ask("events.replay", after=seq)["events"]
-        except LabdaemonError:
+        except LabdaemonError:  # the daemon has ended, as some faults make it: it reports nothing any more
             return None
         messages = [str(event["data"]["message"]) for event in events if event["kind"] == "fault"]
         return messages[0] if messages else None

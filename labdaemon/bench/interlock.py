@@ -86,7 +86,7 @@ class RecordingProxy:
                 if noted:
                     self.passed.append((time.monotonic(), data))
                 sink.sendall(data)
-        except OSError:
+        except OSError:  # the run is over, and its wire is closed
             return
         finally:
             sink.close()

@@ -58,7 +58,7 @@ exposure_s = 0.25
 settle = {{ timeout_s = 0.3 }}
 """
 
-END_S = 900.0
+END_S = 900.0  # for all restarts together, each of which takes half a minute on a busy machine
 
 
 @dataclass(slots=True)
@@ -140,7 +140,7 @@ class DaemonUnderTest:
             with sqlite3.connect(f"file:{self.data / 'journal.db'}?mode=ro", uri=True) as journal:
                 states = [row[0] for row in journal.execute("SELECT state FROM campaigns")]
             journal.close()
-        except sqlite3.OperationalError:
+        except sqlite3.OperationalError:  # the daemon has not made its tables yet
             return False
         return states == ["completed"]
 

@@ -48,7 +48,7 @@ OPERATIONS: dict[str, tuple[FaultKind, ...]] = {
 """What may fail, and how."""
 
 DWELLS_HZ = (4.2, 5.0, 6.3, 8.0, 12.0)
-SWEEP_STEPS = 100
+SWEEP_STEPS = 100  # of one campaign; as many campaigns follow one another as captures are asked for
 
 RESUME_S = 300.0
 """How long a paused campaign waits for the person who resumes it."""

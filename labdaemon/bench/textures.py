@@ -16,7 +16,7 @@ from labdaemon.blur import Patch, make_textured_patch, measure_frame, measure_mo
 from labdaemon.flags import Flag
 
 FloatArray = NDArray[np.float64]
-SIZE_PX = 140
+SIZE_PX = 140  # of the textured square; a patch and its smear lie well inside
 BOX = (40, 40, 60, 60)
 CONTRASTS, NOISES, FRAMES, LENGTHS_PX = (5.0, 10.0, 20.0, 40.0), (0.5, 1.0, 2.0), (1, 2, 4, 10), (1.0, 2.0, 3.0)
 

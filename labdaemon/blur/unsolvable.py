@@ -43,7 +43,7 @@ def solved(function: Callable[P, R]) -> Callable[P, R | None]:
         try:
             with np.errstate(divide="raise", over="raise", invalid="raise"):
                 return function(*args, **kwargs)
-        except UNSOLVABLE:
+        except UNSOLVABLE:  # the caller reports a target without numbers
             return None
 
     return guarded

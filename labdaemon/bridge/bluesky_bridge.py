@@ -109,7 +109,7 @@ def read_place(path: Path) -> BridgePlace | None:
         journal, seq, before = found["journal"], found["seq"], found["before_open"]
         if not (isinstance(journal, str) and type(seq) is int and type(before) is int and 0 <= before <= seq):
             raise ValueError
-    except FileNotFoundError:
+    except FileNotFoundError:  # the first time there is no place yet
         return None
     except (OSError, ValueError, KeyError, TypeError):
         raise UsageError(f"{path} is no state of a bridge; name another file, or remove it") from None

@@ -27,7 +27,7 @@ PLACE_S = 5.0
 ACKNOWLEDGE_S = 20.0
 LONGEST_PREFIX = 100
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class BrokerLost(LabdaemonError):
@@ -95,7 +95,7 @@ class MqttBridge:
         self._settings = settings
         self._id = secrets.token_hex(8)
         self._is_announced = False
-        self.published = 0
+        self.published: int = 0
         self._is_connected = threading.Event()
         self._place: Place | None = None
         self._has_place = threading.Event()
@@ -245,6 +245,7 @@ def _read_place(payload: bytes) -> Place | None:
         found = json.loads(payload)
         seq, journal = found["seq"], found["journal"]
     except (ValueError, TypeError, KeyError, RecursionError):
+        # another program's message under our topic: it is no place
         return None
     return Place(seq, journal) if isinstance(journal, str) and type(seq) is int and 0 <= seq < 1 << 62 else None
 

@@ -135,7 +135,7 @@ class Engine:
                     await self.reporter.wait_for_disk(exc)
         finally:
             monitor.cancel()
-            with suppress(asyncio.CancelledError):
+            with suppress(asyncio.CancelledError):  # that is what was asked of it
                 await monitor
 
     async def _do_next(self, monitor: asyncio.Task[None]) -> None:

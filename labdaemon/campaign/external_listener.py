@@ -46,7 +46,7 @@ class ExternalListener:
             await wait
         finally:
             listening.cancel()
-            with suppress(asyncio.CancelledError):
+            with suppress(asyncio.CancelledError):  # that is what was asked of it
                 await listening
         await self._manual.finish()
 

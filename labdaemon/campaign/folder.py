@@ -96,7 +96,7 @@ class CampaignFiles:
             await self.reporter.with_disk_retry(lambda: self.queue.close(record.id))
         except JournalError:
             raise
-        except StorageError as exc:
+        except StorageError as exc:  # the caller pauses the campaign: it has not ended while its files lack rows
             return exc
         return None
 

@@ -20,7 +20,7 @@ from labdaemon.capture.rig import CALL_S, DeviceHandle
 from labdaemon.capture.table import displacement_mm
 from labdaemon.errors import DeviceError, DeviceRefused, InterlockError, LabdaemonError, StorageUnavailable
 
-WATCH_CYCLES = 2.0
+WATCH_CYCLES = 2.0  # a shorter record would mix the excitation with the gauge's offset
 MISSES = 3
 """Readings or answers in a row that may be missing before a device counts as lost."""
 

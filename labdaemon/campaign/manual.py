@@ -30,7 +30,7 @@ ANSWER_S = 10.0
 """How long a request waits for the outside system to release before it is answered without an opening."""
 EXPECTED_S = 600.0
 """A release that comes later than this after its request is another one: what was asked has been forgotten."""
-MOST_EXPECTED = 8
+MOST_EXPECTED = 8  # a program that asks for more has lost count of what the outside system fires
 
 log: logging.Logger = logging.getLogger(__name__)
 

@@ -29,8 +29,8 @@ Rows = list[dict[str, Any]]
 log: logging.Logger = logging.getLogger(__name__)
 
 RESULTS = "results"
-TRIES = 2
-DISK_POLL_S = 5.0
+TRIES = 2  # a worker that was killed for its memory may have been the victim of another process
+DISK_POLL_S = 5.0  # where no engine reports it
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,12 +21,12 @@ T = TypeVar("T")
 
 log: logging.Logger = logging.getLogger(__name__)
 
-DISK_POLL_S = 2.0
+DISK_POLL_S = 2.0  # a person who frees space sees the campaign go on at once
 RECORD_S = 2.0
 """How long the answer to a stop waits for its record in the journal."""
 
 
-class FaultObserver(Protocol):
+class UnrecordedFaultObserver(Protocol):
     """Carries faults to a person by another way than the journal."""
 
     def fault_unrecorded(self, campaign: str | None, data: FaultData) -> None:
@@ -58,7 +58,7 @@ class CampaignReporter:
         self.last_fault: str | None = None
         self.disk_trouble: str | None = None
         self._recording: set[asyncio.Task[None]] = set()
-        self.observer: FaultObserver | None = None
+        self.observer: UnrecordedFaultObserver | None = None
         """Learns of faults that the journal does not take now."""
 
     async def fault(self, exc: BaseException, *, campaign: str | None, step: Step | None, action: str) -> None:

@@ -26,7 +26,7 @@ from labdaemon.events import StepData
 from labdaemon.journal import transitions
 from labdaemon.journal.records import CaptureRecord
 
-MAX_BACKOFF_S = 60.0
+MAX_BACKOFF_S = 60.0  # a device that comes back in the night is noticed within a minute
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ CLOCK_SD = 1e-3
 """Relative standard deviation of a gauge's own clock: many send "500 readings a second" by a timer in software."""
 CALIBRATION_SD = 0.01
 """Relative standard deviation of a gauge's calibration, and of how well a stated amplitude is kept."""
-SIGMAS = 3.0
+SIGMAS = 3.0  # one statement in 370 that is right would be contradicted
 
 
 @dataclass(frozen=True, slots=True)

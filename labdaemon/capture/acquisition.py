@@ -122,7 +122,7 @@ def exposure_of(frame: Path) -> float | None:
 
     try:
         return read_tags(frame).exposure_s
-    except (DataError, OSError, ValueError):
+    except (DataError, OSError, ValueError):  # the file says nothing of it: the exposure stays unknown
         return None
 
 

@@ -31,7 +31,7 @@ UNFINISHED_SLICE_S = 0.25
 SLOWEST_BYTES_S = 500_000.0
 """A transfer slower than this has failed (the slowest bodies reach a few megabytes a second)."""
 
-FETCH_TRIES = 4
+FETCH_TRIES = 4  # transfers break where a cable is bad; each try begins where the last one broke
 
 
 def identity(file: CardFile) -> CardIdentity:
@@ -119,7 +119,7 @@ async def clear_card(camera: DeviceHandle[Camera], file: CardFile, recorder: Rec
     """Delete a stored frame from the card and forget it; one that cannot be deleted now is, by the next recovery."""
     try:
         await camera.call(lambda driver: driver.delete(file))
-    except DeviceError:
+    except DeviceError:  # the copy is safe, and the next recovery clears the card
         return
     await recorder.write(card_records.forget_files, camera.driver.name, [identity(file)])
 
@@ -179,5 +179,5 @@ async def reconnect(camera: DeviceHandle[Camera]) -> None:
     try:
         await camera.call(lambda driver: driver.close())
         await camera.call(lambda driver: driver.connect())
-    except DeviceError:
+    except DeviceError:  # the next call of the camera reports it
         return

@@ -20,7 +20,7 @@ AMPLITUDES_MM = (0.2, 0.5, 1.0)
 END_S = 4.0
 """The motion must have ended this long after the drop."""
 
-LOOK_AGAIN_S = 0.2
+LOOK_AGAIN_S = 0.2  # rest is seen twice, so far apart
 
 
 class LineUnproven(InterlockError):

@@ -28,7 +28,7 @@ LONGEST_S = 60.0
 CLOCK_SD = 1e-3
 """Relative standard deviation of a gauge's clock against the excitation's frequency."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ NOT_RAW_FORMATS = frozenset(
 
 LAG_TOLERANCE_S = 1.5
 """Two bodies that tell whole seconds may differ by one second more or less from one opening to the next."""
-MOST_LAGS = 8
+MOST_LAGS = 8  # the median of so many follows a clock that drifts
 
 _TIME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T ](\d\d):?(\d\d):?(\d\d)(\.\d+)?")
 
@@ -61,7 +61,7 @@ def camera_seconds(captured_at: str) -> float | None:
     year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
     try:
         moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:
+    except ValueError:  # a body without a clock writes zeros, which is no day
         return None
     return moment.timestamp() + float(match[7] or 0.0)
 

@@ -17,7 +17,7 @@ from labdaemon.journal.light_record import LightRecord
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
 
 TURN = 2.0 * pi
-LONGEST_NAME = 80
+LONGEST_NAME = 80  # of the card's own part: a path must stay within 255 bytes with the camera's name
 _ENDING = re.compile(r"\.[a-z0-9]{1,5}")
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]")
 

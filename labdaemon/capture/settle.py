@@ -14,8 +14,8 @@ from labdaemon.capture.rig import CALL_S, DeviceHandle, Rig
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError
 
-MIN_CYCLES = 4.0
-MIN_RECORD_S = 0.5
+MIN_CYCLES = 4.0  # a sine needs two; from four on the change from one to the next shows
+MIN_RECORD_S = 0.5  # at high frequencies the gauge's own rate bounds what four cycles say
 IN_A_ROW = 2
 """Readings that must agree: one alone may catch a beat at its turning point."""
 

@@ -23,9 +23,9 @@ SET_S = 60.0
 TRIM_WITHIN = 0.01
 """The table's amplitude is corrected until the gauge agrees to this, relative."""
 
-TRIM_TRIES = 3
-FREQUENCY_WITHIN = 1e-3
-AMPLITUDE_WITHIN = 0.02
+TRIM_TRIES = 3  # a calibration is off by some per cent, which one correction removes
+FREQUENCY_WITHIN = 1e-3  # generators round to a millihertz at most
+AMPLITUDE_WITHIN = 0.02  # what the level's own rounding and the calibration leave
 
 
 def displacement_mm(reading: GaugeReading, unit: str, frequency_hz: float) -> float:

@@ -19,10 +19,10 @@ from labdaemon.errors import DeviceError, LabdaemonError, RestUnconfirmed
 
 log: logging.Logger = logging.getLogger(__name__)
 
-ROUND_S = 0.7
+ROUND_S = 0.7  # what was seen stays fresh for several rounds
 SECOND_ASK_S = 0.15
 """After a first miss it is asked again so soon: two misses make a loss within three seconds."""
-MISSES = 2
+MISSES = 2  # one answer may be lost on any wire
 IN_A_ROW = 3
 """Rounds in which something unexpected must be seen, before it is no moment between two commands."""
 GAUGE_ROUNDS = 3

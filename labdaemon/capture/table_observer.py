@@ -16,11 +16,11 @@ from labdaemon.errors import DeviceRefused, LabdaemonError
 FRESH_S = 4.0
 """What was seen longer ago says nothing of now: a few rounds of whoever keeps looking."""
 
-SHORTEST_RECORD_S = 0.3
+SHORTEST_RECORD_S = 0.3  # below this a gauge of 50 readings a second has too few
 LONGEST_RECORD_S = 3.0
 """A table so slow that one cycle takes longer is not looked at with the gauge."""
 
-RECORDS = 3
+RECORDS = 3  # of noise alone one in a million passes three times
 CLEAR_SDS = 10.0
 """A sine that stands out so far explains its record: what is left of it is the gauge's noise."""
 
@@ -112,7 +112,7 @@ class TableObserver:
             await trigger.observe(lambda driver: driver.heartbeat(), OBSERVE_S)
         except DeviceRefused:
             self.line_down = True
-        except LabdaemonError as exc:
+        except LabdaemonError as exc:  # the caller counts it; what the line is stays as it was known
             return exc
         else:
             self.line_down = False

@@ -44,7 +44,7 @@ def mqtt(
         place = to_broker.connect() or (Place(after) if after is not None else None)
         sentence = f"events to {broker} under {prefix}/; Ctrl-C ends it"
         click.echo(json.dumps({"broker": broker, "prefix": prefix}) if as_json else sentence)
-        with suppress(KeyboardInterrupt), closing(follow_events(client, place)) as events:
+        with suppress(KeyboardInterrupt), closing(follow_events(client, place)) as events:  # Ctrl-C is how it ends
             to_broker.run(events)
 
 

@@ -174,7 +174,7 @@ def _addresses(daemon: subprocess.Popen[str]) -> dict[str, str]:
 def _leave_at_rest(rig: DemoRig, daemon: subprocess.Popen[str], config: Path, log: IO[str]) -> None:
     """End the daemon; if it left the table moving (it was killed), do what systemd would do after it."""
     _end(daemon)
-    with contextlib.suppress(OSError, EOFError, ValueError):
+    with contextlib.suppress(OSError, EOFError, ValueError):  # the rig has ended too: nothing moves any more
         if rig.table()["moving"]:
             command = [sys.executable, "-P", "-m", "labdaemon", "safe-stop", str(config)]
             subprocess.run(command, stdout=log, stderr=log, timeout=END_S, check=False)

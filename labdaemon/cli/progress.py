@@ -17,7 +17,7 @@ from rich.text import Text
 
 from labdaemon.orbit_size import largest_motion
 
-BAR_CELLS = 10
+BAR_CELLS = 10  # ten per cent each, which is as much as a glance reads
 SILENT_S = 3.0
 """A heartbeat comes each second. From this age on what is shown is said to be old; a person knows within 5 s."""
 

@@ -18,9 +18,9 @@ from labdaemon.errors import UsageError
 from labdaemon.stream.client import COMMANDS, Client, EventStream, JournalChanged, NoDaemon
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-STOP_TIMEOUT_S = 15.0
-CAPTURE_TIMEOUT_S = 120.0
-SUBMIT_TIMEOUT_S = 60.0
+STOP_TIMEOUT_S = 15.0  # the daemon gives a stop five seconds to be confirmed, and reports what it saw
+CAPTURE_TIMEOUT_S = 120.0  # bulb exposures and slow bodies; an outside system's release is waited for too
+SUBMIT_TIMEOUT_S = 60.0  # a first campaign proves the enable line before it is answered
 REPLAY_TIMEOUT_S = 2.0
 """Longest that `watch` waits for events that it missed before it looks whether the daemon lives; it asks again."""
 ENDED = {"campaign.completed": 0, "campaign.aborted": 1, "campaign.failed": 1}

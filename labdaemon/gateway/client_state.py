@@ -91,13 +91,13 @@ class ClientState:
 
     def __init__(self, context: GatewayContext) -> None:
         self.context = context
-        self.role = context.access.role
-        self.settings = CaptureSettings()
-        self.errors = ErrorQueue()
-        self.event_status = POWER_ON
-        self.enabled = {"*ESE": 0, "*SRE": 0}
+        self.role: Role = context.access.role
+        self.settings: CaptureSettings = CaptureSettings()
+        self.errors: ErrorQueue = ErrorQueue()
+        self.event_status: int = POWER_ON
+        self.enabled: dict[str, int] = {"*ESE": 0, "*SRE": 0}
         self.fired: tuple[str | None, str | None] | None = None
-        self.new_line = asyncio.Event()
+        self.new_line: asyncio.Event = asyncio.Event()
         self._attempts = 0
         self._triggers: set[asyncio.Task[None]] = set()
         self._stop: asyncio.Task[CommandAnswer] | None = None

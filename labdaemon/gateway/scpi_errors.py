@@ -77,7 +77,8 @@ class ScpiError(Exception):
 
     def __init__(self, number: int, detail: str = "") -> None:
         super().__init__(number, detail)
-        self.number, self.detail = number, detail
+        self.number = number
+        self.detail = detail
 
     @property
     def event_bit(self) -> int:

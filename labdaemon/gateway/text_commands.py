@@ -187,7 +187,7 @@ async def _next_envelope(client: ClientState, unit: ProgramUnit) -> Answer:
     try:
         async with asyncio.timeout(limit_s):
             await client.uninterrupted(_until_next(client, "envelope"))
-    except TimeoutError:
+    except TimeoutError:  # the device language has no other way to say that none came
         return answers.envelope_text(None)
     return await off_loop(answers.envelope_text, await _last(client, "envelope"))
 

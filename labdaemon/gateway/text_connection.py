@@ -28,7 +28,7 @@ BYTES_A_UNIT = 1024
 _BROWSER = re.compile(rb"[A-Z]+ \S+ HTTP/\d|(?i:host|content-length|user-agent|origin) ?:")
 """A browser or a scanner: a page of any site could otherwise post lines to this port."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class ConnectionRefusal(Exception):
@@ -60,7 +60,7 @@ class TextConnection:
         self._reader, self._writer, self._pace = reader, writer, pace
         self._lines: asyncio.Queue[bytes | ConnectionRefusal | None] = asyncio.Queue(MOST_LINES)
         self._splitter = LineSplitter()
-        self.active_s = asyncio.get_running_loop().time()
+        self.active_s: float = asyncio.get_running_loop().time()
         writer.transport.set_write_buffer_limits(WRITE_BYTES)
 
     @property
@@ -86,7 +86,7 @@ class TextConnection:
             await asyncio.wait([work, read], return_when=asyncio.FIRST_COMPLETED)
             if not work.done():
                 read.result()
-                with suppress(TimeoutError):
+                with suppress(TimeoutError):  # the client reads nothing, the reason for the end neither
                     async with asyncio.timeout(LAST_S):
                         await self._lines.put(ConnectionRefusal())
                         await asyncio.shield(work)

@@ -25,7 +25,7 @@ REFUSED_PAUSE_S = 0.05
 EXHAUSTED_PAUSE_S = 0.5
 NOT_NOW = (BlockingIOError, InterruptedError, ConnectionAbortedError)
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class TextGateway:
@@ -71,7 +71,7 @@ class TextGateway:
             while True:
                 try:
                     peer, address = await loop.sock_accept(self._listener)
-                except NOT_NOW:
+                except NOT_NOW:  # the peer has gone between its knock and our answer
                     continue
                 except OSError as exc:
                     self._peers.warn("a newcomer", f"could not be accepted ({exc.strerror}); tried again")

@@ -18,7 +18,7 @@ def look_ahead(client: ClientState, line: str) -> None:
         return
     try:
         headers = [parse_unit(text).header for text in split_line(line)]
-    except ScpiError:
+    except ScpiError:  # no command at all, so no stop
         headers = [text.partition(" ")[0].removesuffix("?") for text in line.split(";")]
     if any(_is_stop(header.strip()) for header in headers):
         client.start_stop()

@@ -208,7 +208,7 @@ def _build_network(
             try:
                 cameras = [orientations[camera_names[index]].camera for index, _ in seen]
                 place = nearest_point(cameras, [np.array([s.x_px, s.y_px]) for _, s in seen])
-            except DataError:
+            except DataError:  # its rays do not meet: a mismatch, which may not tie the cameras together
                 continue
             if not all(np.isfinite(camera.project(place[None])).all() for camera in cameras):
                 continue

@@ -48,7 +48,7 @@ def straight_candidates(
     for _, signs, vector, sign_penalty in ranked[:2]:
         try:
             candidate = _adjust_straight(cameras, exterior, motions, signs, np.stack([start[0], vector, np.zeros(3)]))
-        except DataError:
+        except DataError:  # another start may lead to an orbit in front of the cameras
             continue  # ends matched wrongly may put the path behind a camera
         result.append(replace(candidate, sign_penalty=sign_penalty))
     if not result:

@@ -53,7 +53,7 @@ class GuardedProcess:
         """
         if self._ends_within(patience_s):
             return False
-        with suppress(ProcessLookupError):
+        with suppress(ProcessLookupError):  # it has ended meanwhile
             if self._file is not None:
                 signal.pidfd_send_signal(self._file, signal.SIGKILL)
             else:

@@ -23,7 +23,7 @@ from labdaemon.guardian.rescue import EMERGENCY, RescueOutcome, rescue
 from labdaemon.guardian.rescue_reporter import RescueReporter
 from labdaemon.guardian.silence_timer import ClockReading, SilenceTimer, now
 
-TICK_S = 0.1
+TICK_S = 0.1  # a tenth of the silence that is allowed
 GONE_S = 0.2
 """A daemon whose end of the pipe is closed is ending; it is given so long to be gone."""
 LEAVE_S = 10.0

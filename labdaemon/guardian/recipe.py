@@ -110,7 +110,7 @@ def read_message(line: bytes) -> dict[str, Any]:
     """One line of the pipe as an object; an empty one where it is none (a writer that died in mid-line)."""
     try:
         found = json.loads(line)
-    except ValueError:
+    except ValueError:  # half a line: the pipe's end says the rest
         return {}
     return found if isinstance(found, dict) else {}
 

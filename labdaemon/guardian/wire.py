@@ -13,7 +13,7 @@ import serial
 
 from labdaemon.guardian.recipe import StopRecipe, WireExchange
 
-IDENTIFY_TRIES = 5
+IDENTIFY_TRIES = 5  # the dead daemon had at most a few questions on the wire
 CONFIRM_TRIES = 3
 """The answer that means rest is asked for so often in one try, each time after another stop."""
 QUIET_S, LONGEST_DRAIN_S = 0.05, 0.4
@@ -21,7 +21,7 @@ QUIET_S, LONGEST_DRAIN_S = 0.05, 0.4
 RECHECK_S = 0.3
 """What the dead daemon had still sent through a serial server can arrive after the stop, so rest is seen twice, so far
 apart."""
-LONGEST_LINE = 4096
+LONGEST_LINE = 4096  # no answer is as long; a line without an end must not fill the memory
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 FAULTS = (serial.SerialException, OSError, termios.error, ValueError, TypeError, AttributeError)
 """What pyserial raises for a port that is gone; the last two are its own when a port goes during a call."""

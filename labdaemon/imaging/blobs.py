@@ -17,7 +17,7 @@ REDUCED_RANGE_PX = (5.0, 26.0)
 DARKER_THAN = (0.80, 0.60)
 """Thresholds, in parts of the surrounding brightness; both in square-root light."""
 
-MIN_AXIS_RATIO = 0.2
+MIN_AXIS_RATIO = 0.2  # a disc seen at 78°; flatter blobs are edges and text
 
 
 def find_blobs(grey: Grey, diameter_range_px: tuple[float, float]) -> list[Ellipse]:

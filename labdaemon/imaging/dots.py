@@ -16,8 +16,8 @@ from labdaemon.imaging.paper_extent import paper_extent
 
 FloatArray = NDArray[np.float64]
 
-RAYS = 48
-STEPS = 40
+RAYS = 48  # nine in ten of them must show the edge
+STEPS = 40  # along each ray; the edge is interpolated between two of them
 MIN_SEMI_MINOR_PX = 3.0
 """Below it the blur of lens and pixel leaves no shape to judge."""
 

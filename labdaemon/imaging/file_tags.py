@@ -26,8 +26,8 @@ WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES, SAMPLE_FORMAT = 256, 257
 SUBFILE, MAKER, DNG_VERSION = 254, 271, 50706
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 324, 325
 _CFA, _LINEAR_RAW = 32803, 34892
-_CFA_REPEAT = 33421
-_FLOAT = 3
+_CFA_REPEAT = 33421  # of TIFF/EP
+_FLOAT = 3  # of the tag SampleFormat
 _RW2_WIDTH, _RW2_HEIGHT, _RW2_OFFSET = 2, 3, 280
 
 MOST_PIXELS_A_BYTE = 16
@@ -266,7 +266,7 @@ def _black(directory: TiffDirectory) -> BlackTags | None:
 def _moment(text: str) -> datetime | None:
     try:
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S")
-    except ValueError:
+    except ValueError:  # a body without a clock writes zeros or blanks
         return None
 
 

@@ -34,7 +34,7 @@ class LibraryOutput:
     """
 
     def __init__(self) -> None:
-        self.text = ""
+        self.text: str = ""
 
     @property
     def reports_damage(self) -> bool:

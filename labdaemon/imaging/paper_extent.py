@@ -14,7 +14,7 @@ from labdaemon.imaging.label_steps import first_steps
 
 FloatArray = NDArray[np.float64]
 
-RAYS = 72
+RAYS = 72  # one each five degrees: a corner of the paper is not missed
 REACH = 16.0
 """How far is looked, in radii of the dot; paper that reaches further counts as ending there."""
 FALL, RISE = 0.4, 0.6

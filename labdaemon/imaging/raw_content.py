@@ -16,12 +16,12 @@ from pathlib import Path
 Read = Callable[[int, int], bytes]
 """Bytes of a file from an offset, at most so many; fewer at its end."""
 
-BLOCK_BYTES = 1 << 16
-HEAD_BYTES = 128
-MOST_DIRECTORIES = 48
-MOST_ENTRIES = 1024
-MOST_VALUES = 1 << 16
-MOST_BOXES = 64
+BLOCK_BYTES = 1 << 16  # each question to the camera takes milliseconds: a directory comes with one
+HEAD_BYTES = 128  # all makers' signatures lie within it
+MOST_DIRECTORIES = 48  # real files have ten; a hostile one must not lead in circles
+MOST_ENTRIES = 1024  # real directories have a hundred
+MOST_VALUES = 1 << 16  # as many strips or tiles has no camera
+MOST_BOXES = 64  # CR3 has a dozen at its top
 
 CFA, LINEAR_RAW = 32803, 34892
 GREY = (0, 1)
@@ -158,7 +158,7 @@ def check_content(read: Read, size_bytes: int) -> Content:
             return _fuji(source)
         if head[4:8] == b"ftyp":
             return _boxes(source, head)
-    except _IncompleteFile:
+    except _IncompleteFile:  # the camera has not written it to its end yet
         return Content(Kind.UNFINISHED)
     for magic, ending in OTHER_RAW.items():
         if head.startswith(magic):

@@ -17,7 +17,7 @@ from pathlib import Path
 from labdaemon.durable import PART, is_being_written, make_folder, storage_error, sync_file, sync_folder
 from labdaemon.errors import DataError
 
-BLOCK_BYTES = 1 << 20
+BLOCK_BYTES = 1 << 20  # hashing is as quick as with larger ones
 
 NO_LINKS = frozenset(
     {errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK, errno.EXDEV}
@@ -88,7 +88,7 @@ def move_new(path: Path, to: Path) -> Path:
     make_folder(to.parent)
     try:
         for place in numbered(to):
-            with suppress(FileExistsError):
+            with suppress(FileExistsError):  # another frame has this number: the next one may be free
                 _rename_new(path, place)
                 sync_folder(to.parent)
                 sync_folder(path.parent)
@@ -102,7 +102,7 @@ def holds(path: Path, size_bytes: int, sha256: str) -> bool:
     """Whether this file is that frame; False where it is not there."""
     try:
         return path.stat().st_size == size_bytes and _digest(path) == sha256
-    except OSError:
+    except OSError:  # not there or not readable: it cannot be vouched for
         return False
 
 

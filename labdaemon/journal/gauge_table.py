@@ -109,6 +109,6 @@ class GaugeFiles:
 def _stamp(path: Path) -> tuple[int, int, int] | None:
     try:
         about = path.stat()
-    except OSError:
+    except OSError:  # not there (any more): it has no state to compare
         return None
     return about.st_ino, about.st_size, about.st_mtime_ns

@@ -239,7 +239,7 @@ class Journal:
             listener(name)
 
     def _roll_back(self) -> None:
-        with suppress(sqlite3.Error):
+        with suppress(sqlite3.Error):  # a disk that is gone rolls back by itself when it is opened again
             if self._writer.in_transaction:
                 self._writer.execute("ROLLBACK")
 

@@ -23,7 +23,7 @@ CampaignState = Literal["queued", "running", "paused", "completed", "aborted", "
 CaptureState = Literal["intended", "fired", "exposed", "stored", "measured", "unmeasured", "discarded"]
 FrameState = Literal["stored", "set_aside"]
 
-RESULTS_AT_A_TIME = 20
+RESULTS_AT_A_TIME = 20  # of 500 targets each: a few megabytes, whatever the campaign's length
 
 NO_STEP = -1
 """`CaptureRecord.step` of captures that belong to no step: a person's, and an outside system's while none runs."""

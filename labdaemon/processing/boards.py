@@ -28,7 +28,7 @@ rings and those of PhotoModeler's calibration sheet."""
 DISPLAY_GAMMA = 2.2
 """Tone curve of a camera's JPEG, near enough to find the middle of an edge."""
 JPEG = b"\xff\xd8\xff"
-_FEWEST_POINTS = 8
+_FEWEST_POINTS = 8  # an image has six unknowns of its own, that is three points, and needs some to spare
 
 
 @dataclass(frozen=True, slots=True)

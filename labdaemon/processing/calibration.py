@@ -35,11 +35,11 @@ SUFFIXES = frozenset(
         *("tif", "tiff", "png", "jpg", "jpeg"),
     )
 )
-FEWEST_PHOTOGRAPHS = 4
+FEWEST_PHOTOGRAPHS = 4  # three fix the lens in theory, with nothing left to show a mistake
 SD_PX = 0.1
 """A detected centre or corner, before the residuals say better."""
-MOST_GROSS_ERRORS = 60
-FEW_PHOTOGRAPHS = 8
+MOST_GROSS_ERRORS = 60  # beyond this the board is not what was stated
+FEW_PHOTOGRAPHS = 8  # with fewer the corners of the frame are seldom seen
 ROLLED_DEG, TILTED_DEG = 60.0, 25.0
 """Largest difference of roll, and of viewing direction, that a good set has at least."""
 CORNER = 0.2

@@ -21,7 +21,7 @@ SD_UNFITTED_PX = 0.3
 """Standard deviation of a tag whose sides could not be fitted: it keeps its corners as detected."""
 WIDEST_PX = 56
 """Widest part of a control target that is compared with later frames: enough edges, and quick."""
-RIM_PX = 8
+RIM_PX = 8  # room for the blur of a tag's edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ def check_frame_sizes(folder: Path, frames: Sequence[tuple[str, Path]]) -> None:
     for camera, path in frames:
         try:
             width, height = read_frame(path).size
-        except DataError:
+        except DataError:  # measuring names the frame that cannot be read
             continue
         stated = cameras[camera].image_size if camera in cameras else (width, height)
         if (width, height) != tuple(stated):

@@ -98,7 +98,7 @@ class _Generation:
     def kill(self) -> None:
         """Kill every worker: the executor then fails all that is pending with `BrokenProcessPool`."""
         while not self._pids.empty():
-            with contextlib.suppress(ProcessLookupError):
+            with contextlib.suppress(ProcessLookupError):  # it has died already, perhaps of its memory
                 os.kill(self._pids.get(), signal.SIGKILL)
         self.executor.shutdown(wait=False, cancel_futures=True)
 

@@ -19,7 +19,7 @@ from labdaemon.processing.survey import SurveyedPoint
 from labdaemon.processing.target_search import ExpectedTarget, measure_contrast
 from labdaemon.processing.thumbnails import Thumbnail
 
-LEAST_CONTROL = 4
+LEAST_CONTROL = 4  # three points leave four solutions
 ORDINARY_PX = (12.0, 200.0)
 """Diameters of dots that are searched where their size and distance are unknown."""
 LEAST_BLURRED, BLURRED_SHARE = 2, 0.2

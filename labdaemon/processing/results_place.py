@@ -84,6 +84,6 @@ class ResultsFolders:
 def _stamp(path: Path) -> Stamp | None:
     try:
         about = path.stat()
-    except OSError:
+    except OSError:  # not there (any more): it has no state to compare
         return None
     return about.st_ino, about.st_size, about.st_mtime_ns

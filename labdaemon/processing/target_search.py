@@ -42,8 +42,8 @@ STRAIN = 0.25
 """Largest displacement gradient over the structure."""
 SAMPLE_STEP = 7
 """One pixel in so many rows and columns is sampled for the brightness of an image."""
-RANDOM_FIELDS = 2000
-REFITTED_FIELDS = 60
+RANDOM_FIELDS = 2000  # draws of three targets: some are right even where most candidates are wrong
+REFITTED_FIELDS = 60  # the best of the draws, since refitting costs more than drawing
 SMEARS_PER_TARGET = 10
 """Smears a target is tried with."""
 

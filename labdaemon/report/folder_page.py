@@ -95,7 +95,7 @@ def _line_note(folder: Path) -> str:
     """What the rig file accepted instead of an enable line that was seen to stop the table; empty where nothing."""
     try:
         interlocks = read_toml(folder / "rig.toml")[1].get("interlocks")
-    except ConfigError:
+    except ConfigError:  # a folder of other origin has no rig file to state it
         return ""
     is_accepted = isinstance(interlocks, dict) and interlocks.get("accept_no_enable") is True
     return "taken with accept_no_enable: the table needed no proven enable line" if is_accepted else ""

@@ -18,7 +18,7 @@ from labdaemon.imaging import Grey, read_frame
 from labdaemon.orbit_size import semi_major_axis
 from labdaemon.processing import FolderResult, Row
 
-MAGNIFICATION = 20.0
+MAGNIFICATION = 20.0  # 0.1 mm shows as 2 mm
 WIDEST_PX = 1800
 """Longest side of the image for the screen, px; the vectors' places scale with it."""
 

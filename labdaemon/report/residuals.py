@@ -10,7 +10,7 @@ FloatArray = NDArray[np.float64]
 
 WIDTH_PX = 1400
 """Width of the image."""
-_CELLS = 12
+_CELLS = 12  # across the frame: systematic residuals of a lens show, single ones do not
 
 
 def draw_residuals(

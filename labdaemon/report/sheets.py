@@ -16,7 +16,7 @@ from labdaemon.report.pdf import PdfPage, pdf_bytes
 FORMATS_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
 MARGIN_MM = 12.0
 """Left free all round: most printers cannot reach further, and the scale bars stand in it."""
-BAR_MM = 100.0
+BAR_MM = 100.0  # long enough to measure a printer's scale to a per mille with a ruler
 _GAP_MM = 5.0
 """Between labels, for crop marks and captions."""
 

@@ -29,10 +29,10 @@ GATHER_S = 1.0
 """A fault and the pause that follows from it are one message."""
 GAP_S = 10.0
 """Least time between the end of one run and the next."""
-TIMEOUT_S = 30.0
+TIMEOUT_S = 30.0  # a mail takes seconds; the next faults wait for it
 LAST_TIMEOUT_S = 5.0
 """For what is still unsent when the daemon ends."""
-MOST_EVENTS = 50
+MOST_EVENTS = 50  # a storm of faults must fit into one message
 
 log: logging.Logger = logging.getLogger(__name__)
 

@@ -83,7 +83,7 @@ class GuardianProcess:
             )
             if lock is not None:
                 lock.note(pid=self._process.pid)
-        except OSError:
+        except OSError:  # standard error is closed: there is nothing to write to
             self._close()
             raise
         finally:
@@ -121,9 +121,9 @@ class GuardianProcess:
         """What it has answered, without waiting; None once it has closed its end."""
         try:
             return os.read(self._from, 1 << 16) or None
-        except BlockingIOError:
+        except BlockingIOError:  # nothing has come since
             return b""
-        except OSError:
+        except OSError:  # its end of the pipe is gone, as after its death
             return None
 
     def describe_end(self) -> str:
@@ -135,7 +135,7 @@ class GuardianProcess:
 
     def wait(self) -> None:
         """Let it end by itself after a goodbye, and give the pipes back. Blocks."""
-        with suppress(subprocess.TimeoutExpired):
+        with suppress(subprocess.TimeoutExpired):  # it ends by itself once its pipes are closed
             self._process.wait(END_S)
         self._close()
 

@@ -19,7 +19,7 @@ from labdaemon.service.guardian_process import GuardianProcess, GuardianSettings
 
 log: logging.Logger = logging.getLogger(__name__)
 
-BEAT_S = 0.2
+BEAT_S = 0.2  # several in the shortest silence that a rig file may allow
 DEAF_S = 5.0
 """A guardian that answers no heartbeat for so long is taken for dead. Longer than its own limit for the daemon: a busy
 machine must not cost a campaign."""

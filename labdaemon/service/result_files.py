@@ -69,9 +69,9 @@ def captures_in(folder: Path) -> set[str]:
         # A power cut may leave zero bytes, which csv refuses, or half a character.
         with path.open(encoding="utf-8", errors="replace", newline="") as file:
             return {row["capture"] for row in csv.DictReader(line.replace("\0", "") for line in file)}
-    except (csv.Error, KeyError):
+    except (csv.Error, KeyError):  # another program has changed it: it is written anew
         return set()
-    except FileNotFoundError:
+    except FileNotFoundError:  # no result has come yet, or a person has removed it
         return set()
     except OSError as exc:
         raise storage_error(exc, path) from exc

@@ -109,7 +109,7 @@ def _ask(holder: LockHolder) -> str | None:
     try:
         with Client(holder.commands, timeout_s=ASK_S) as client:
             result = client.call("stop")
-    except NoDaemon:
+    except NoDaemon:  # it holds the shaker and does not answer: the stop goes over the wire without it
         return None
     except LabdaemonError as exc:
         if "use the emergency stop" in str(exc):

@@ -33,9 +33,9 @@ IN_PROCESS = ("sim", "loop")
 """URL schemes of devices that live in the daemon's own process: no other process can reach them."""
 
 FOLDER_VARIABLE = "LABDAEMON_LOCKS"
-POLL_S = 0.05
-NOTE_BYTES = 1024
-LONGEST_NOTE = 8192
+POLL_S = 0.05  # a lock is waited for while its holder ends
+NOTE_BYTES = 1024  # a path of any length is cut to fit
+LONGEST_NOTE = 8192  # of another version's
 
 
 class ShakerLockConflict(ConfigError):
@@ -210,7 +210,7 @@ def lock_holder(port: str, role: Role) -> LockHolder | None:
                 continue
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
+            except BlockingIOError:  # the daemon or guardian holds it
                 return _read(file)
             except OSError:
                 continue
@@ -250,6 +250,7 @@ def _open(path: Path) -> int:
 
 
 def _read(file: int) -> LockHolder:
+    # a note that is being written: nothing is known of it
     with suppress(OSError, ValueError, TypeError, AttributeError):
         note = json.loads(os.pread(file, LONGEST_NOTE, 0).decode())
         pid = note.get("pid")

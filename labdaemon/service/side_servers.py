@@ -26,7 +26,7 @@ from labdaemon.stream.roles import Role
 if TYPE_CHECKING:
     from labdaemon.web.web_server import WebServer
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class SideServers:

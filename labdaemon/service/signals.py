@@ -51,5 +51,5 @@ def name_of(number: int) -> str:
     """A signal's name, or what it is where it has none."""
     try:
         return signal.Signals(number).name
-    except ValueError:
+    except ValueError:  # real-time signals between the first and the last have no name
         return f"real-time signal {number}"

@@ -95,7 +95,7 @@ def cut_sections(text: str) -> tuple[dict[str, dict[str, Any]], bool, list[str]]
     """
     try:
         whole = parse_toml(text)
-    except ConfigError:
+    except ConfigError:  # the sections are read one by one below: a typing mistake must not keep the table moving
         pass
     else:
         return {kind: whole[kind] for kind in ("shaker", "trigger") if isinstance(whole.get(kind), dict)}, True, []

@@ -32,6 +32,7 @@ def notify(message: str, environment: Mapping[str, str] | None = None) -> bool:
         return False
     if address[0] == "@":
         address = "\0" + address[1:]
+    # systemd is not there, or restarts: the daemon serves without being watched
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
         sock.connect(address)
         sock.sendall(message.encode())
@@ -46,7 +47,7 @@ def watchdog_period_s(environment: Mapping[str, str] | None = None) -> float | N
         return None
     try:
         microseconds = int(env.get("WATCHDOG_USEC", "0"))
-    except ValueError:
+    except ValueError:  # another program has set the variable: no watchdog waits
         return None
     return microseconds / 2e6 if microseconds > 0 else None
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from labdaemon.errors import ConfigError
 
-SHORTEST = 16
-LONGEST = 200
+SHORTEST = 16  # below this a token can be guessed over a network in a night
+LONGEST = 200  # fits into one header line
 
 
 class AccessToken:

@@ -32,7 +32,7 @@ EVENTS = "tcp://127.0.0.1:5571"
 """Where a daemon listens unless its rig file says otherwise."""
 SILENT_S = 10.0
 """A daemon whose heartbeat has been missing for so long is gone."""
-HIGH_WATER = 10_000
+HIGH_WATER = 10_000  # hours of events; what is dropped beyond is asked for again
 
 
 class NoDaemon(LabdaemonError):
@@ -57,7 +57,7 @@ class RemoteError(LabdaemonError):
         self.data: dict[str, Any] = dict(error.get("data") or {})
         self.name: str = str(self.data.get("name", "error"))
         self.retryable: bool = self.code == messages.BUSY
-        self.exit_status = 2 if self.code in {messages.INVALID_PARAMS, messages.LIMITS} else 1
+        self.exit_status: int = 2 if self.code in {messages.INVALID_PARAMS, messages.LIMITS} else 1
         super().__init__(str(error.get("message", "the daemon refused")))
 
 

@@ -33,8 +33,8 @@ ReturnRoute = tuple[bytes, ...]
 ALWAYS = frozenset({"stop"})
 LARGE = frozenset({"events.replay", "events.latest"})
 """Commands whose answers may be megabytes."""
-MAX_IN_PROGRESS = 64
-MAX_OF_ONE = 16
+MAX_IN_PROGRESS = 64  # each may hold a megabyte of answer
+MAX_OF_ONE = 16  # so that one client cannot take all places
 TOO_MANY = "too many commands at once; try again"
 
 log: logging.Logger = logging.getLogger(__name__)

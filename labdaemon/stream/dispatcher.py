@@ -25,7 +25,7 @@ IDEMPOTENT = frozenset({"campaign.submit", "capture"})
 COMMAND_S = 600.0
 """No command takes longer; one that does has lost what it waited for, and gives its place back."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class RequestStore(Protocol):

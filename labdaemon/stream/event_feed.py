@@ -12,10 +12,10 @@ from labdaemon.journal.event import EventText
 from labdaemon.off_loop import off_loop
 from labdaemon.stream.publisher import Outbox
 
-BATCH = 100
-BATCH_BYTES = 1 << 20
-KEPT = 64
-KEPT_BYTES = 4 << 20
+BATCH = 100  # events of one read, so that a reader who is far behind does not hold up the others
+BATCH_BYTES = 1 << 20  # of one read, since envelopes may be large
+KEPT = 64  # the latest, from which readers who keep up are served without the disk
+KEPT_BYTES = 4 << 20  # of these
 
 
 class EventFeed:

@@ -14,6 +14,7 @@ from labdaemon.errors import ConfigError, DeviceError, InterlockError, Labdaemon
 from labdaemon.plain_json import dump_json
 from labdaemon.stream.text_limits import bounded_text, is_text, parse_json, surrogate_in
 
+# The first five are those of JSON-RPC 2.0; its range for servers begins at -32000.
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
 METHOD_NOT_FOUND = -32601

@@ -11,7 +11,7 @@ from labdaemon.stream.zmtp import PeerInspector, PeerLimits, PeerRefusal
 
 BLOCK_BYTES = 128 << 10
 """Bytes moved at a time: a fraction of a millisecond of the event loop."""
-MOST_LAST_BLOCKS = 64
+MOST_LAST_BLOCKS = 64  # of a peer that has closed: what it said last is still passed on, within bounds
 NOT_NOW = (BlockingIOError, InterruptedError)
 """What a socket says that has nothing to read, or no room."""
 
@@ -72,7 +72,7 @@ class ByteRelay:
         """Send these bytes, now or as soon as the target takes them."""
         try:
             sent = self._target.send(data)
-        except NOT_NOW:
+        except NOT_NOW:  # spurious readiness: the loop calls again
             sent = 0
         except OSError as exc:
             self._end(str(exc.strerror))
@@ -85,7 +85,7 @@ class ByteRelay:
     def _read(self) -> None:
         try:
             data = self._source.recv(BLOCK_BYTES)
-        except NOT_NOW:
+        except NOT_NOW:  # the target takes no more now: the loop calls again when it does
             return
         except OSError as exc:
             self._end(str(exc.strerror))
@@ -104,7 +104,7 @@ class ByteRelay:
     def _write(self) -> None:
         try:
             self._pending = self._pending[self._target.send(self._pending) :]
-        except NOT_NOW:
+        except NOT_NOW:  # spurious readiness: the loop calls again
             return
         except OSError as exc:
             self._end(str(exc.strerror))

@@ -23,25 +23,25 @@ BACKLOG = 4096
 """Newcomers that wait in the system's queue; it may grant fewer."""
 RESERVED = 320
 """Descriptors that are left to devices, journal, frames and workers."""
-MOST_PEERS = 200
-LEAST_PEERS = 8
-GATES = 2
+MOST_PEERS = 200  # each takes descriptors of the thousand or so that a process has
+LEAST_PEERS = 8  # where the system allows few descriptors, a rig's own programs still connect
+GATES = 2  # commands and events
 DESCRIPTORS_A_PEER = 3
 """Its TCP socket, and both ends of its connection to libzmq."""
 HANDSHAKE_S = 5.0
 """A peer that has not said hello by then is none."""
 HELLO_S = 0.5
 """When all places are taken, it has to say hello within this time."""
-IDLE_S = 0.3
+IDLE_S = 0.3  # a peer whose handshake takes longer is no program on this machine
 WAITS_S = 60.0
 """A peer of the commands socket that was silent for so long gives its place to a newcomer when all are taken; one that
 may wait for an answer keeps it for longer."""
-CROWD_AT_A_TIME = 8
+CROWD_AT_A_TIME = 8  # let in between two turns of the loop, so that a crowd delays no interlock
 CROWD_PAUSE_S = 0.02
 """When all places are taken, so many newcomers are let in at a time, and then none for a while. Thousands of leaked
 clients come back ten times a second each; an operator's turn among them comes within seconds."""
-EXHAUSTED_PAUSE_S = 0.5
-LOG_EVERY_S = 60.0
+EXHAUSTED_PAUSE_S = 0.5  # without descriptors the listener would spin
+LOG_EVERY_S = 60.0  # a flood of refusals must not fill the log
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -129,7 +129,7 @@ class PeerGate:
                 break  # newcomers wait in the system's queue: a client that is turned away comes back at once
             try:
                 peer, _ = self._listener.accept()
-            except NOT_NOW:
+            except NOT_NOW:  # all that knocked are let in
                 return
             except OSError as exc:
                 self._note(f"a connection could not be accepted ({exc.strerror}); tried again")

@@ -8,7 +8,7 @@ from collections import OrderedDict
 
 from labdaemon.stream.text_limits import bounded_text
 
-EVERY_S = 60.0
+EVERY_S = 60.0  # a flood of refusals must not fill the log
 MOST_PEERS = 64
 """Peers that are kept apart; those beyond share a line."""
 OTHERS = "other peers"

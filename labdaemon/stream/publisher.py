@@ -27,14 +27,14 @@ from labdaemon.stream.text_limits import bounded_text
 
 log: logging.Logger = logging.getLogger(__name__)
 
-STATUS_PERIOD_S = 1.0
-GREETING_PAUSE_S = 0.02
+STATUS_PERIOD_S = 1.0  # the heartbeat that subscribers count on
+GREETING_PAUSE_S = 0.02  # a new subscriber's status waits for the rest of its subscriptions
 GREETED_AT_A_TIME = 1000
 """Between two answers to new subscriptions, and how many one answer is for: a flood of them costs little."""
-BATCH = 32
+BATCH = 32  # events sent between two turns of the loop
 BATCH_BYTES = 1 << 20
 """Events, and bytes of them, read from the outbox at a time: a millisecond or two of the event loop."""
-MAX_REPLAY = 1000
+MAX_REPLAY = 1000  # of one answer; a client asks again for what follows
 MAX_REPLAY_BYTES = 4 << 20
 """An answer stays below this, so that a client far behind asks several times instead of choking the daemon once."""
 
@@ -130,7 +130,7 @@ class EventPublisher:
             try:
                 async with asyncio.timeout_at(status_due):
                     await self._changed.wait()
-            except TimeoutError:
+            except TimeoutError:  # nothing was committed: the next status is due
                 pass
 
     @contextmanager

@@ -13,7 +13,7 @@ from labdaemon.stream.zmtp import PeerLimits
 
 MAX_FRAME_BYTES = 1 << 20
 """A frame beyond this ends the connection; the longest campaign is far smaller."""
-MAX_TOPIC_BYTES = 128
+MAX_TOPIC_BYTES = 128  # no event's kind is half as long
 MAX_TOPICS = 100
 """Of one subscriber; an event's kind is a word or two, and there are a dozen."""
 COMMANDS_LIMITS = PeerLimits(MAX_FRAME_BYTES, 2 * MAX_FRAME_BYTES)

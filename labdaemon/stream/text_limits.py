@@ -59,7 +59,7 @@ def is_text(value: str) -> bool:
     """Whether every character is one, and no half of a surrogate pair."""
     try:
         value.encode()
-    except UnicodeEncodeError:
+    except UnicodeEncodeError:  # half a surrogate pair
         return False
     return True
 

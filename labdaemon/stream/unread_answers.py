@@ -8,12 +8,12 @@ from typing import Protocol
 
 LARGE_BYTES = 64 << 10
 """Smaller answers are bounded by their number (`labdaemon.stream.sockets.ANSWERS_HIGH_WATER`)."""
-MOST_OF_ONE = 8 << 20
+MOST_OF_ONE = 8 << 20  # a few replays; more is kept for no client that does not read
 MOST_OF_ALL = 48 << 20
 """Bytes of large answers that are held for one client, and for all of them."""
 PATIENCE_S = 10.0
 """How long a command waits for its client to read earlier answers before it is refused as busy."""
-POLL_S = 0.01
+POLL_S = 0.01  # libzmq reports no change of what is unread
 
 
 class MessageTracker(Protocol):

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-SIGNATURE_BYTES = 10
-GREETING_BYTES = 64
+SIGNATURE_BYTES = 10  # of ZMTP: 0xFF, eight bytes, 0x7F
+GREETING_BYTES = 64  # of ZMTP 3, signature included
 MORE, LONG, COMMAND = 1, 2, 4
 """Flags of a frame."""
 FRAME_COST = 64

@@ -143,10 +143,10 @@ class FakeLab:
         self.lamp = lamp
         if lamp is not None:
             give_lamp(self.fake)
-        self.free_bytes = 10**12
+        self.free_bytes: int = 10**12
         self.proof = proof
         self.exposures_s: dict[str, tuple[float, ...]] = dict.fromkeys(self.fake.rig.cameras, (0.5, 1.0, 2.0))
-        self.rig_digest = ""
+        self.rig_digest: str = ""
         self.measurer: FakeMeasurer = FakeMeasurer()
         self.journal: Journal
         self.engine: Engine

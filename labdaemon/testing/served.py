@@ -56,10 +56,10 @@ class FakeDaemon:
     def __init__(self) -> None:
         self.asked: list[tuple[str, dict[str, Any], Role]] = []
         self.errors: dict[str, tuple[int, str]] = {}
-        self.hold = asyncio.Event()
+        self.hold: asyncio.Event = asyncio.Event()
         self.hold.set()
-        self.outbox = FakeOutbox()
-        self.shots = 0
+        self.outbox: FakeOutbox = FakeOutbox()
+        self.shots: int = 0
 
     def methods(self) -> list[str]:
         return [method for method, _, _ in self.asked]

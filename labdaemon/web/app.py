@@ -49,7 +49,7 @@ INDEX = """<!doctype html><html lang="en"><title>labdaemon</title><h1>labdaemon<
 <li><a href="/events?after=0">/events?after=0</a></li><li><a href="/openrpc.json">/openrpc.json</a></li></ul></html>
 """
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)

@@ -154,7 +154,7 @@ def read_authorization(headers: Mapping[str, str]) -> tuple[str, str] | None:
         case "basic":
             try:
                 text = base64.b64decode(rest.strip(), validate=True).decode()
-            except (binascii.Error, UnicodeDecodeError):
+            except (binascii.Error, UnicodeDecodeError):  # a header that is no token is a wrong token
                 return "basic", ""
             return "basic", text.partition(":")[2]
     return scheme.lower(), ""

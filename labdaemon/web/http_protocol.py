@@ -45,9 +45,9 @@ class BoundedHttpProtocol(H11Protocol):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.logger = _silent  # uvicorn has a line for every bad request; ours are counted
-        self.access_log = False
-        self.active_s = time.monotonic()
+        self.logger: logging.Logger = _silent  # uvicorn has a line for every bad request; ours are counted
+        self.access_log: bool = False
+        self.active_s: float = time.monotonic()
         self._request_timer: asyncio.TimerHandle | None = None
         self._write_timer: asyncio.TimerHandle | None = None
         self._pace_timer: asyncio.TimerHandle | None = None

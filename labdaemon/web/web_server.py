@@ -33,7 +33,7 @@ KEEP_ALIVE_S = 5
 END_S = 1.0
 DATE_S = 1.0
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class WebServer:
@@ -194,7 +194,7 @@ class _Server(uvicorn.Server):
             try:
                 async with asyncio.timeout(DATE_S):
                     await self._closing.wait()
-            except TimeoutError:
+            except TimeoutError:  # it serves on; the date in its headers is renewed
                 continue
 
 

@@ -33,7 +33,7 @@ OTHERS_KEYS = frozenset(
     {"driver", "exposure_s", "f_number", "iso", "image_size", "focal_px", "principal_point_px", "distortion"}
 )
 """Keys of a camera's section that are not for its driver."""
-WAKE_POLL_S = 0.25
+WAKE_POLL_S = 0.25  # a body that slept takes a second or two to answer
 
 
 class PtpSettings(DriverSettings):

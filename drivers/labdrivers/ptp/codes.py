@@ -84,8 +84,8 @@ class Prop(IntEnum):
     NIKON_SHUTTER = 0xD100
 
 
-FORMAT_FOLDER = 0x3001
-ALL_STORAGES = 0xFFFFFFFF
+FORMAT_FOLDER = 0x3001  # of the standard: an association
+ALL_STORAGES = 0xFFFFFFFF  # of the standard: every card of the body
 
 MEANINGS: dict[int, str] = {
     Response.GENERAL_ERROR: "general error",

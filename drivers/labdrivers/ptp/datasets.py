@@ -9,7 +9,7 @@ from labdrivers.ptp.codes import FORMAT_FOLDER
 from labdrivers.ptp.container import DatasetReader
 
 RANGE, ENUMERATION = 1, 2
-LONGEST_RANGE = 4096
+LONGEST_RANGE = 4096  # a body that states a range of millions lists no settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from labdrivers.ptp.transport import UsbPipe
 NEWS = frozenset(
     {EventCode.OBJECT_ADDED, EventCode.OBJECT_REMOVED, EventCode.NIKON_ADDED_IN_SDRAM, EventCode.STORE_FULL}
 )
-LISTEN_S = 0.1
+LISTEN_S = 0.1  # so long at most does closing wait for the reading thread
 
 
 class EventListener:
@@ -50,7 +50,7 @@ class EventListener:
         """Next event about a file as (code, first parameter); None when none came in time."""
         try:
             return self._news.get(timeout=timeout_s) if timeout_s > 0 else self._news.get_nowait()
-        except queue.Empty:
+        except queue.Empty:  # none came in time
             return None
 
     def _listen(self) -> None:

@@ -97,6 +97,7 @@ def _cameras(name: str, backend: Any) -> list[Any]:
 
 
 def _descriptor_serial(device: Any) -> str | None:
+    # no permission or no string: another way is tried
     with suppress(usb.core.USBError, ValueError, NotImplementedError):
         text = device.serial_number
         return str(text) if text else None

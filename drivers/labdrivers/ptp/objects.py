@@ -13,7 +13,7 @@ from labdrivers.ptp.container import DatasetReader
 from labdrivers.ptp.datasets import ObjectInfo, StorageInfo
 from labdrivers.ptp.session import PtpRefused, PtpSession
 
-BLOCK_BYTES = 1 << 20
+BLOCK_BYTES = 1 << 20  # a broken transfer costs no more than this again
 
 
 def list_handles(session: PtpSession) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from labdaemon.errors import DeviceRefused
 from labdaemon.hook import HookError, run_hook
 
-COMMAND_S = 30.0
+COMMAND_S = 30.0  # switching a hub's port takes a few seconds, whatever program does it
 AT_LEAST_EVERY_S = 300.0
 """A body that needs it more often than this needs a person."""
 

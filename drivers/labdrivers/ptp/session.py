@@ -17,9 +17,9 @@ from labdrivers.ptp.container import BadContainer, pack, pack_parameters, unpack
 from labdrivers.ptp.datasets import DeviceInfo
 from labdrivers.ptp.transport import UsbPipe
 
-SESSION_ID = 1
-BUSY_POLL_S = 0.1
-STALE_CONTAINERS = 8
+SESSION_ID = 1  # any number but 0, by the standard
+BUSY_POLL_S = 0.1  # bodies that write a file answer "busy" for a second
+STALE_CONTAINERS = 8  # answers to calls that were given up; more is no camera's protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class PtpSession:
         with self._lock:
             if self._open:
                 self._open = False
-                with suppress(DeviceError):
+                with suppress(DeviceError):  # the camera is gone, or forgets its session by itself
                     self._transact(Op.CLOSE_SESSION, (), None, min(self._timeout_s, 2.0))
 
     def call(
@@ -172,7 +172,7 @@ class PtpSession:
                 self._pipe.send(pack(ContainerKind.DATA, operation, transaction, data_out), timeout_s)
             return self._answer(operation, transaction, deadline)
         except (TransportError, ProtocolError):
-            with suppress(DeviceError):
+            with suppress(DeviceError):  # the first fault is the one to report
                 self._pipe.cancel(transaction, min(timeout_s, 2.0))
             raise
 

@@ -21,12 +21,12 @@ from labdaemon.errors import ProtocolError, TransportError
 from labdrivers.ptp.codes import ContainerKind
 from labdrivers.ptp.container import HEADER, UNKNOWN_LENGTH, BadContainer, ContainerHeader, read_header
 
-STILL_IMAGE = 6
+STILL_IMAGE = 6  # USB's class of still-image devices
 CANCEL, RESET, STATUS = 0x64, 0x66, 0x67
 TO_INTERFACE, FROM_INTERFACE = 0x21, 0xA1
-BIGGEST_READ = 1 << 20
-BIGGEST_CONTAINER = 1 << 30
-DRAIN_READS = 64
+BIGGEST_READ = 1 << 20  # one request of libusb
+BIGGEST_CONTAINER = 1 << 30  # no frame is as large: a wrong length must not take the memory
+DRAIN_READS = 64  # of what an earlier program left unread
 
 
 class UsbPipe:
@@ -53,6 +53,7 @@ class UsbPipe:
             raise TransportError("is no still-image device; set the camera's USB mode to PTP", device=device)
         self._number: int = interface.bInterfaceNumber
         with self._faults("being claimed"):
+            # not every system has such drivers; claiming shows the rest
             with suppress(NotImplementedError, usb.core.USBError):
                 if found.is_kernel_driver_active(self._number):
                     found.detach_kernel_driver(self._number)
@@ -69,7 +70,7 @@ class UsbPipe:
 
     def close(self) -> None:
         """Release the interface; harmless when the camera is gone."""
-        with suppress(usb.core.USBError):
+        with suppress(usb.core.USBError):  # the camera has been unplugged
             usb.util.release_interface(self._usb, self._number)
         with suppress(usb.core.USBError):
             usb.util.dispose_resources(self._usb)
@@ -162,7 +163,7 @@ class UsbPipe:
         with self._faults("signalling"):
             try:
                 return bytes(self._interrupt.read(self._interrupt.wMaxPacketSize, _ms(timeout_s)))
-            except usb.core.USBTimeoutError:
+            except usb.core.USBTimeoutError:  # no event within the time: the ordinary case
                 return None
             except usb.core.USBError as exc:
                 if exc.errno == errno.EPIPE:
@@ -198,7 +199,7 @@ class UsbPipe:
         for _ in range(DRAIN_READS):
             try:
                 self._in.read(BIGGEST_READ, 50)
-            except usb.core.USBTimeoutError:
+            except usb.core.USBTimeoutError:  # nothing is left to read
                 return
             except usb.core.USBError as exc:
                 if exc.errno != errno.EPIPE:

@@ -23,8 +23,8 @@ from labdrivers.ptp.session import PtpRefused, PtpSession
 
 log: logging.Logger = logging.getLogger(__name__)
 
-POLL_S = 0.1
-LIST_EVERY_S = 2.0
+POLL_S = 0.1  # a file is noticed within this time
+LIST_EVERY_S = 2.0  # bodies that report no event are asked for their list
 MOST_POLLS = 50
 """GetEvent answers in a row before something else gets its turn."""
 

@@ -6,10 +6,10 @@ import os
 import sys
 import time
 
-MEMORY_BYTES = 64 << 20
-WRITE_BYTES = 1 << 20
-PAGE_BYTES = 4096
-SPIN_S = 0.1
+MEMORY_BYTES = 64 << 20  # larger than a cache, so that the memory itself is kept busy
+WRITE_BYTES = 1 << 20  # as a copying program writes
+PAGE_BYTES = 4096  # every page is touched, or the system would give none
+SPIN_S = 0.1  # a worker looks at the clock between such stretches of work
 
 
 def main(file: str) -> None:

@@ -24,12 +24,12 @@ from labdaemon.bench.kill import DaemonUnderTest, small_rig
 from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.bench.world.row import WorldOptions, WorldRow
 
-STEPS = 4
+STEPS = 4  # enough to be in the midst of a campaign when the disk fills
 REST_S = 15.0
 """Longest that the table may move while nothing can be recorded."""
-PATIENCE_S = 120.0
+PATIENCE_S = 120.0  # for what takes seconds on an idle machine
 INTERLOCKS = "min_disk_bytes = 0\naccept_no_enable = true\n"
-DISK_BYTES = 8 << 20
+DISK_BYTES = 8 << 20  # full after a few frames of the small rig
 SMALLEST_BYTES = 4096
 """Of a file under the quota: less than any journal."""
 
@@ -73,7 +73,7 @@ def rows(options: WorldOptions) -> Iterator[WorldRow]:
 def full(daemon: DaemonUnderTest) -> Iterator[None]:
     """One file takes all room."""
     filler = daemon.folder / "filler"
-    with suppress(OSError), filler.open("wb", buffering=0) as file:
+    with suppress(OSError), filler.open("wb", buffering=0) as file:  # it ends when the disk is full, which is the aim
         while True:
             file.write(b"\0" * 4096)
     yield
@@ -104,7 +104,7 @@ def locked(daemon: DaemonUnderTest) -> Iterator[None]:
 def unread(daemon: DaemonUnderTest) -> Iterator[None]:
     """No process reads the log, whose pipe is full."""
     pipe = os.open(daemon.folder / "daemon.log", os.O_WRONLY | os.O_NONBLOCK)
-    with suppress(BlockingIOError):
+    with suppress(BlockingIOError):  # nothing is left to read
         while True:
             os.write(pipe, b"\n" * 512)
     yield

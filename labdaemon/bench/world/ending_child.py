@@ -16,7 +16,7 @@ from labdaemon.bench.kill_child import QuickMeasurer
 from labdaemon.service.config import load_rig
 from labdaemon.service.daemon import DaemonOptions, run_daemon
 
-BLOCK_BYTES = 1 << 20
+BLOCK_BYTES = 1 << 20  # as a file is usually copied
 
 
 def _obey(loop: asyncio.AbstractEventLoop) -> None:

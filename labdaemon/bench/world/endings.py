@@ -17,7 +17,7 @@ DEATH_S = 2.0
 """Longest that the table may move after the daemon has died."""
 HANG_S = 4.0
 """The same after it has begun to hang."""
-PATIENCE_S = 15.0
+PATIENCE_S = 15.0  # the guardian takes the table over within two
 REST_S = 0.3
 """At rest counts once it has lasted so long."""
 ALL, QUICK = 200, 2

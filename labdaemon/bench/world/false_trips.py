@@ -14,10 +14,10 @@ from labdaemon.bench.world.row import WorldOptions, WorldRow
 from labdaemon.bench.world.subject import Subject, subject
 from labdaemon.errors import LabdaemonError
 
-BUSY = 8
+BUSY = 8  # programs at once on two cores: four times what they can do
 GAP_S = 0.7
 """Longest time between two heartbeats that is aimed at."""
-LOOK_S = 0.5
+LOOK_S = 0.5  # as often as a person would look
 
 
 def rows(options: WorldOptions) -> Iterator[WorldRow]:

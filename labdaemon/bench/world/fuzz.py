@@ -20,8 +20,8 @@ from labdaemon.bench.simulator import folder_maker
 from labdaemon.bench.world.mutations import mutated_bytes, mutated_text
 from labdaemon.bench.world.row import WorldOptions, WorldRow
 
-MEMORY_MB = 500.0
-LONGEST_S = 10.0
+MEMORY_MB = 500.0  # a hostile file may cost this, and not what the machine has
+LONGEST_S = 10.0  # and so long, since a person waits for the answer
 GOAL = f"0 tracebacks, 0 beyond {LONGEST_S:g} s, <= {MEMORY_MB:g} MB, one line on stderr"
 CHILD = [sys.executable, "-m", "labdaemon.bench.world.fuzz_child"]
 KILL_S = 90.0

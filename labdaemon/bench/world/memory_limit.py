@@ -28,7 +28,7 @@ def memory_limit(pid: int) -> Iterator[bool]:
         yield True
     finally:
         for _ in range(100):  # the killed process leaves it a moment later
-            with suppress(OSError):
+            with suppress(OSError):  # a process in it has not ended yet: the system removes an empty group later
                 group.rmdir()
                 break
             time.sleep(0.05)

@@ -21,11 +21,12 @@ from labdaemon.bench.world.row import WorldOptions, WorldRow
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
-MEMORY_MB = 500.0
-SILENT_S = 10.0
+MEMORY_MB = 500.0  # what a flood of messages may cost
+SILENT_S = 10.0  # a daemon that answers nothing for so long counts as hung
 GREETING = (b"\xff" + b"\0" * 8 + b"\x7f\x03\x00NULL").ljust(64, b"\0")
+# the second half of ZMTP's greeting of a client, as libzmq writes it
 READY = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
-PROBE_EVERY = 500
+PROBE_EVERY = 500  # messages between two questions whether an ordinary client is still answered
 GOAL = f"alive, 0 tracebacks, no answer later than {SILENT_S:g} s, <= {MEMORY_MB:g} MB"
 
 
@@ -75,7 +76,7 @@ def _attack(daemon: DaemonUnderTest, source: random.Random, tries: int) -> float
             began_s = time.monotonic()
             try:
                 probe.call("status")
-            except LabdaemonError:
+            except LabdaemonError:  # no answer at all: longer than any limit
                 return float("inf")
             slowest_s = max(slowest_s, time.monotonic() - began_s)
     return slowest_s

@@ -32,7 +32,7 @@ def main() -> None:
             daemon, _ = listener.accept()
             try:
                 controller = socket.create_connection((host, port), timeout=5.0)
-            except OSError:
+            except OSError:  # one side has closed: the other is closed below
                 daemon.close()
                 continue
             controller.settimeout(None)

@@ -31,12 +31,12 @@ hold_s = 3000
 exposure_s = 0.25
 settle = { timeout_s = 0.5 }
 """
-GOAL_S = 0.1
+GOAL_S = 0.1  # less than the table moves in half a cycle at 5 Hz
 CLIENTS, REPLAYS = 4, 16
-ENVELOPES = 1500
+ENVELOPES = 1500  # a night's results in the journal, so that a slow answer would show
 TARGETS = 72
 """An envelope of so many targets has 35 KB."""
-PATIENCE_S = 60.0
+PATIENCE_S = 60.0  # for what takes seconds on an idle machine
 NUMBERS = [f"{sd}{motion}{axis}_mm" for sd in ("", "sd_") for motion in ("", "a", "b") for axis in "xyz"]
 LEVEL = re.compile(r"VOLT ([0-9.eE+-]+)$")
 

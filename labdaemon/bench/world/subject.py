@@ -17,7 +17,7 @@ from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
 
-STEPS = 6
+STEPS = 6  # something is always left to do when the test's act comes
 CAMPAIGN = f"""
 name = "world"
 [[phase]]
@@ -31,7 +31,7 @@ amplitude_mm = 0.5
 exposure_s = 0.25
 settle = {{ timeout_s = 0.5 }}
 """
-PATIENCE_S = 120.0
+PATIENCE_S = 120.0  # for what takes seconds on an idle machine
 
 
 class Subject(DaemonUnderTest):
@@ -103,7 +103,7 @@ class Subject(DaemonUnderTest):
     def _reap(self) -> None:
         super()._reap()
         if self.process.stdin is not None:
-            with suppress(BrokenPipeError):
+            with suppress(BrokenPipeError):  # it has ended by itself
                 self.process.stdin.close()
 
 

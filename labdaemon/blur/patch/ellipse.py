@@ -93,7 +93,7 @@ def fit_ellipse(points: FloatArray) -> Ellipse | None:
         reduced = s1 + s2 @ eliminate
         # Rows times the inverse of the constraint matrix [[0, 0, 2], [0, -1, 0], [2, 0, 0]].
         values, vectors = np.linalg.eig(np.stack([reduced[2] / 2.0, -reduced[1], reduced[0] / 2.0]))
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError:  # all points lie in a line: no ellipse passes through them
         return None
     vectors = np.real(vectors)
     elliptic = 4.0 * vectors[0] * vectors[2] - vectors[1] ** 2 > 0.0

@@ -316,7 +316,7 @@ def _evaluate(equations: TextureEquations, p: FloatArray) -> CorrectedEquations 
     """The equations at p; None where the model overflows, which a step from afar may ask for."""
     try:
         return equations.at(p)
-    except FloatingPointError:
+    except FloatingPointError:  # the caller tries a shorter step
         return None
 
 
