@@ -8,71 +8,20 @@ checked against what it says it understands.
 
 from __future__ import annotations
 
-import re
-import shlex
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from labdaemon.service_section import ServiceSection, Written
 from labdaemon.tomlfile import TomlSection
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
-Written = Annotated[str, Field(pattern=r"^[^\x00]+$")]
-"""A path or port: some text without a NUL."""
 Positive = Annotated[float, Field(gt=0, strict=True)]
 Fraction = Annotated[float, Field(gt=0, le=1, strict=True)]
 Count = Annotated[int, Field(ge=0, strict=True)]
 Pixels = Annotated[int, Field(ge=16, le=100_000, strict=True)]
 FocalLength = Annotated[float, Field(ge=50, le=1e6, strict=True)]
 Seconds = Annotated[float, Field(gt=0, le=86400, strict=True)]
-
-_LOOPBACK = re.compile(r"^tcp://(127(\.\d{1,3}){3}|localhost|\[::1\]):(\d{1,5}|\*)$")
-
-
-class ServiceSection(TomlSection):
-    """Where the daemon listens and what it writes to. Port ``*`` takes a free one, which the daemon prints."""
-
-    events: str = "tcp://127.0.0.1:5571"
-    commands: str = "tcp://127.0.0.1:5570"
-    data: Written = "data"
-    """Folder of journal, campaigns and frames; relative to the rig file."""
-    on_fault: Written | tuple[Written, ...] | None = None
-    """Command that carries faults and pauses to a person: program and arguments, in a list or as in a shell (no shell
-    runs it). It reads a JSON object on stdin; a relative path starts at the rig file's folder."""
-
-    @property
-    def on_fault_command(self) -> tuple[str, ...] | None:
-        """Program and arguments of `on_fault`."""
-        if self.on_fault is None or isinstance(self.on_fault, tuple):
-            return self.on_fault
-        return tuple(shlex.split(self.on_fault))
-
-    @field_validator("on_fault")
-    @classmethod
-    def _a_command(cls, command: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
-        try:
-            words = shlex.split(command) if isinstance(command, str) else command
-        except ValueError as exc:
-            raise ValueError(f"is no command: {exc}") from None
-        if words is not None and not words:
-            raise ValueError("is empty; name a program, or leave it out")
-        return command
-
-    @field_validator("events", "commands")
-    @classmethod
-    def _stay_on_loopback(cls, address: str) -> str:
-        port = address.rpartition(":")[2]
-        if _LOOPBACK.match(address) and (port == "*" or int(port) < 1 << 16):
-            return address
-        if not _LOOPBACK.match(address) and re.match(r"^tcp://.+:\d{1,5}$", address):
-            raise ValueError(f"{address} is off loopback, where anybody could move the table; use tcp://127.0.0.1:PORT")
-        raise ValueError(f"{address!r} is no address; write tcp://127.0.0.1:PORT")
-
-    @model_validator(mode="after")
-    def _two_addresses(self) -> ServiceSection:
-        if self.events == self.commands and not self.events.endswith("*"):
-            raise ValueError("events and commands share an address; give each its own")
-        return self
 
 
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})

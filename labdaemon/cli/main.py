@@ -32,6 +32,7 @@ COMMANDS = {
     "calibrate": ("labdaemon.cli.calibrate:calibrate", "Calibrate a camera, the shaker or a shutter."),
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
     "bridge": ("labdaemon.cli.bridge:bridge", "Pass a daemon's events on to MQTT or bluesky."),
+    "keys": ("labdaemon.cli.keys:keys", "Who may come in over the network: make, list and revoke keys."),
     "bench": ("labdaemon.cli.bench:bench", "Measure labdaemon itself."),
 }
 """Subcommand -> its function, and its line in `--help`. Imported only when called, so that `stop` starts at once."""

@@ -16,7 +16,10 @@ import click
 
 from labdaemon.errors import UsageError
 from labdaemon.stream.client import COMMANDS, Client, EventStream, JournalChanged, NoDaemon
+from labdaemon.stream.client_sockets import events_at
+from labdaemon.stream.messages import ForbiddenError
 
+KEY = "labdaemon.key"
 Command = TypeVar("Command", bound=Callable[..., Any])
 STOP_TIMEOUT_S = 15.0  # the daemon gives a stop five seconds to be confirmed, and reports what it saw
 CAPTURE_TIMEOUT_S = 120.0  # bulb exposures and slow bodies; an outside system's release is waited for too
@@ -28,32 +31,66 @@ ENDED = {"campaign.completed": 0, "campaign.aborted": 1, "campaign.failed": 1}
 
 
 def address_options(command: Command) -> Command:
-    """`--address` and `--json`, which all of these take."""
+    """`--address`, `--key` and `--json`, which all of these take."""
+    command = click.option(
+        "--key",
+        envvar="LABDAEMON_KEY",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE",
+        show_envvar=True,
+        callback=_remember_key,
+        expose_value=False,
+        help="The client's key, where the daemon asks for one (labdaemon keys).",
+    )(command)
     command = click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")(command)
     return click.option(
         "--address",
         default=COMMANDS,
         envvar="LABDAEMON_ADDRESS",
         show_default=True,
+        show_envvar=True,
         metavar="TCP",
         help="The daemon's commands address.",
     )(command)
 
 
+def _remember_key(context: click.Context, parameter: click.Parameter, key: Path | None) -> None:
+    context.meta[KEY] = key
+
+
+def key_file() -> Path | None:
+    """The `--key` of the command that runs."""
+    context = click.get_current_context(silent=True)
+    return context.meta.get(KEY) if context is not None else None
+
+
 def ask(address: str, method: str, *, timeout_s: float = 10.0, **params: Any) -> Any:
     """One command to the daemon at `address`."""
     _check_listening(address)
-    with Client(address, timeout_s=timeout_s) as client:
-        return client.call(method, **params)
+    key = key_file()
+    with Client(address, timeout_s=timeout_s, key=key) as client:
+        try:
+            return client.call(method, **params)
+        except NoDaemon as exc:
+            if key is not None:
+                raise NoDaemon(f"{exc} Is the key of {key} listed there?") from None
+            raise NoDaemon(f"{exc} Where it asks for keys, --key is needed.") from None
 
 
 def _check_listening(address: str) -> None:
     """Fail at once where no daemon listens, instead of after the time a command may take."""
     host, _, port = address.removeprefix("tcp://").rpartition(":")
-    if not address.startswith("tcp://") or not port.isdigit() or int(port) >= 1 << 16:
-        raise UsageError(f"--address {address}: write tcp://127.0.0.1:PORT")
+    is_tcp = address.startswith("tcp://") and port.isdigit() and int(port) < 1 << 16
+    if not is_tcp and not address.startswith("ipc:///"):
+        raise UsageError(f"--address {address}: write tcp://127.0.0.1:PORT or ipc:///PATH")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=3.0).close()
+        if is_tcp:
+            socket.create_connection((host.strip("[]"), int(port)), timeout=3.0).close()
+        else:
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.connect(address.removeprefix("ipc://"))
+    except PermissionError:
+        raise ForbiddenError(f"{address} is for other users of this machine (see its owner and group)") from None
     except OSError as exc:
         raise NoDaemon(
             f"no daemon listens at {address} ({exc.strerror or exc}): is `labdaemon run` running there?"
@@ -164,9 +201,9 @@ def watch(
     from labdaemon.cli.progress import Progress
 
     if events_address is None:
-        events_address = ask(address, "rig")["service"]["events"]
+        events_address = events_at(ask(address, "rig")["service"]["events"], address)
     with (
-        Client(address, events_address, timeout_s=REPLAY_TIMEOUT_S) as client,
+        Client(address, events_address, timeout_s=REPLAY_TIMEOUT_S, key=key_file()) as client,
         Progress(plain=as_json, to_stderr=as_json) as progress,
         closing(_follow(client, after, patience)) as events,
     ):

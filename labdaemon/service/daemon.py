@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ from labdaemon.journal.journal import Journal
 from labdaemon.service.config import RigConfig
 from labdaemon.service.deferred_commands import DeferredCommands
 from labdaemon.service.devices import build_rig, connect_stop_actuators
+from labdaemon.service.doors import Doors, open_doors
 from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
 from labdaemon.service.guardian_supervisor import GuardianSupervisor
 from labdaemon.service.shaker_lock import ShakerLock
@@ -79,6 +81,7 @@ class TableContext:
 
     config: RigConfig
     options: DaemonOptions
+    doors: Doors
     data: Path
     clock: Clock
     rig: Rig
@@ -96,6 +99,7 @@ class DaemonContext:
 
     config: RigConfig
     options: DaemonOptions
+    doors: Doors
     data: Path
     clock: Clock
     rig: Rig
@@ -138,10 +142,11 @@ def run_daemon(
         It could not start, or a part of it failed for good. The table is at rest.
     """
     own: ShakerLock | None = None
+    doors = open_doors(config)
     if lock is None and config.shaker is not None:
         lock = own = ShakerLock(config.shaker.port, "daemon", config=str(config.source))
     try:
-        return asyncio.run(_run_with_table(config, options or DaemonOptions(), ready, measurer, lock))
+        return asyncio.run(_run_with_table(config, options or DaemonOptions(), doors, ready, measurer, lock))
     finally:
         if own is not None:
             own.release()
@@ -150,6 +155,7 @@ def run_daemon(
 async def _run_with_table(
     config: RigConfig,
     options: DaemonOptions,
+    doors: Doors,
     ready: ReadyCallback,
     measurer: MeasurerFactory | None,
     lock: ShakerLock | None,
@@ -182,7 +188,7 @@ async def _run_with_table(
             keeping = asyncio.create_task(supervise("table monitor", table_monitor.run, clock))
             afterwards.callback(keeping.cancel)
             context = TableContext(
-                config, options, data, clock, rig, table, table_monitor, keeping, guardian, ready, measurer
+                config, options, doors, data, clock, rig, table, table_monitor, keeping, guardian, ready, measurer
             )
             return await _serve_commands(context, lock, end)
         finally:
@@ -209,12 +215,16 @@ async def _serve_commands(context: TableContext, lock: ShakerLock | None, end: a
     start = StartupSequence(context.clock, context.table, place_of(context.config.source, context.data), end)
     deferred = DeferredCommands()
     deferred.serve_early(start.handlers(), start.refusal)
-    commands = CommandServer(context.config.service.commands, deferred.handlers(), deferred)
+    doors = context.doors
+    commands = CommandServer(context.config.service.commands, deferred.handlers(), deferred, doors.commands)
     try:
         commands.bind()
         if lock is not None:
             lock.note(commands=commands.address)
         start.parts.append(asyncio.create_task(supervise("commands", commands.run, context.clock)))
+        if doors.access is not None:
+            follow = partial(doors.access.run, context.clock)
+            start.parts.append(asyncio.create_task(supervise("list of clients", follow, context.clock)))
         start.parts.append(asyncio.create_task(feed(context.clock, start.checks, log_stalled)))
         notify(f"READY=1\nSTATUS=commands on {commands.address}")
         return await _open_data(context, start, deferred, commands)
@@ -237,7 +247,7 @@ async def _open_data(
         serving = await asyncio.to_thread(import_module, "labdaemon.service.serve")
         identities = await connect_stop_actuators(context.rig)
         daemon_context = DaemonContext(
-            context.config, context.options, context.data, context.clock, context.rig, context.table,
+            context.config, context.options, context.doors, context.data, context.clock, context.rig, context.table,
             context.table_monitor, context.keeping, journal, commands, deferred, context.guardian, identities,
             context.ready, context.measurer,
         )  # fmt: skip

@@ -20,6 +20,9 @@ from labdaemon.service.guardian_context import wait_for_guardian
 from labdaemon.service.shaker_lock import LockHolder, ShakerLock, lock_holder
 from labdaemon.service.signals import ending_signals
 from labdaemon.service.stop_actuators import StopActuators, read_stop_actuators
+from labdaemon.service_section import keys_folder, read_service
+from labdaemon.stream.access import OWN_KEY
+from labdaemon.stream.key_files import KeyPair, read_pair
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -84,7 +87,7 @@ def stop_table(path: Path) -> str:
     stop_actuators = read_stop_actuators(path)
     holder = lock_holder(stop_actuators.port, "daemon") if stop_actuators.port is not None else None
     if holder is not None:
-        answer = _ask(holder)
+        answer = _ask(holder, path)
         if answer is not None:
             return answer
         log.warning("the daemon (process %s) does not answer: the table is stopped past it", holder.pid)
@@ -94,7 +97,7 @@ def stop_table(path: Path) -> str:
     return _sentence(asyncio.run(_stop(stop_actuators, [])))
 
 
-def _ask(holder: LockHolder) -> str | None:
+def _ask(holder: LockHolder, path: Path) -> str | None:
     """Ask a living daemon to stop; what it saw, None when it does not answer.
 
     Raises
@@ -107,7 +110,7 @@ def _ask(holder: LockHolder) -> str | None:
     if not holder.commands:
         return None  # it has only just begun, and that with a stop
     try:
-        with Client(holder.commands, timeout_s=ASK_S) as client:
+        with Client(holder.commands, timeout_s=ASK_S, key=_key(path)) as client:
             result = client.call("stop")
     except NoDaemon:  # it holds the shaker and does not answer: the stop goes over the wire without it
         return None
@@ -117,6 +120,19 @@ def _ask(holder: LockHolder) -> str | None:
         return None
     seen = result.get("seen") if isinstance(result, dict) else None
     return f"table at rest, by the daemon (process {holder.pid}; {seen or 'no shaker'})"
+
+
+def _key(path: Path) -> KeyPair | None:
+    """The daemon's own key, with which who runs it may stop it; None where it has none, or that cannot be read."""
+    try:
+        service = read_service(path)
+        if not service.needs_keys(service.commands):
+            return None
+        pair = read_pair(keys_folder(path, service) / OWN_KEY, is_client=False)
+    except LabdaemonError as exc:
+        log.warning("the daemon cannot be asked by its own key: %s", exc)
+        return None
+    return KeyPair(pair.public, pair.secret, pair.public)
 
 
 async def _stop(stop_actuators: StopActuators, signals: list[int]) -> RestConfirmation:

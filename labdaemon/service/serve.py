@@ -71,7 +71,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         report = status_of(engine, start.place) if engine is not None else start.status()
         return report | {"guardian": guardian}
 
-    publisher = EventPublisher(config.service.events, context.journal, status, context.clock)
+    publisher = EventPublisher(config.service.events, context.journal, status, context.clock, context.doors.events)
     hook = _fault_hook(context, start.place)
 
     servers = SideServers(config, context.commands.dispatcher.answer, context.journal)

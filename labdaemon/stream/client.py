@@ -16,6 +16,7 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -23,6 +24,8 @@ import zmq
 
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream import messages
+from labdaemon.stream.client_sockets import client_pair, connect, subscribe
+from labdaemon.stream.key_files import KeyPair
 
 if TYPE_CHECKING:
     from labdaemon.events import Event
@@ -32,7 +35,6 @@ EVENTS = "tcp://127.0.0.1:5571"
 """Where a daemon listens unless its rig file says otherwise."""
 SILENT_S = 10.0
 """A daemon whose heartbeat has been missing for so long is gone."""
-HIGH_WATER = 10_000  # hours of events; what is dropped beyond is asked for again
 
 
 class NoDaemon(LabdaemonError):
@@ -79,11 +81,26 @@ class Client:
         Its addresses.
     timeout_s
         How long a command may take, unless `call` gets another limit.
+    key
+        File with the client's key (``labdaemon keys make``), or the pair itself; None where the daemon asks for none.
+
+    Raises
+    ------
+    ConfigError
+        The key file is missing, damaged, or others can read it.
     """
 
-    def __init__(self, commands: str = COMMANDS, events: str = EVENTS, *, timeout_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        commands: str = COMMANDS,
+        events: str = EVENTS,
+        *,
+        timeout_s: float = 10.0,
+        key: KeyPair | Path | str | None = None,
+    ) -> None:
         self.commands_address: str = commands
         self.events_address: str = events
+        self._pair = client_pair(key)
         self.timeout_s = timeout_s
         self._context = zmq.Context()
         self._socket: zmq.Socket[bytes] | None = None
@@ -180,19 +197,11 @@ class Client:
 
     def subscribe(self) -> zmq.Socket[bytes]:
         """A raw subscription to everything; the caller closes it."""
-        socket = self._context.socket(zmq.SUB)
-        socket.set(zmq.RCVHWM, HIGH_WATER)
-        socket.set(zmq.SUBSCRIBE, b"")
-        socket.set(zmq.IPV6, "[" in self.events_address)
-        socket.connect(self.events_address)
-        return socket
+        return subscribe(self._context.socket(zmq.SUB), self.events_address, self._pair)
 
     def _connected(self) -> zmq.Socket[bytes]:
         if self._socket is None:
-            self._socket = self._context.socket(zmq.DEALER)
-            self._socket.set(zmq.LINGER, 0)
-            self._socket.set(zmq.IPV6, "[" in self.commands_address)
-            self._socket.connect(self.commands_address)
+            self._socket = connect(self._context.socket(zmq.DEALER), self.commands_address, self._pair)
         return self._socket
 
     def _drop(self) -> None:

@@ -23,7 +23,7 @@ from labdaemon.stream.dispatcher import CommandDispatcher, Handler, RequestStore
 from labdaemon.stream.messages import BadRequestError, RpcRequest
 from labdaemon.stream.peer_gate import PeerGate
 from labdaemon.stream.roles import Role
-from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, bind
+from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, ANYBODY, DoorPolicy, bind
 from labdaemon.stream.text_limits import INLINE_BYTES
 from labdaemon.stream.unread_answers import LARGE_BYTES, UnreadAnswers
 
@@ -51,6 +51,8 @@ class CommandServer:
         What is done for each method.
     requests
         Where answers are kept for requests that come again.
+    policy
+        Who gets in. Where keys are asked for, the role is the key's; else everybody is an operator.
 
     Attributes
     ----------
@@ -58,8 +60,15 @@ class CommandServer:
         Carries out requests; other ways in use it as well.
     """
 
-    def __init__(self, address: str, handlers: Mapping[str, Handler], requests: RequestStore | None = None) -> None:
+    def __init__(
+        self,
+        address: str,
+        handlers: Mapping[str, Handler],
+        requests: RequestStore | None = None,
+        policy: DoorPolicy = ANYBODY,
+    ) -> None:
         self.address: str = address
+        self._policy = policy
         self.dispatcher: CommandDispatcher = CommandDispatcher(handlers, requests)
         self._tasks: set[asyncio.Task[None]] = set()
         self._of_client: Counter[bytes] = Counter()
@@ -79,7 +88,12 @@ class CommandServer:
             It is taken.
         """
         self._socket, self._gate = bind(
-            self._context, zmq.ROUTER, self.address, key="service.commands", high_water=ANSWERS_HIGH_WATER
+            self._context,
+            zmq.ROUTER,
+            self.address,
+            key="service.commands",
+            high_water=ANSWERS_HIGH_WATER,
+            policy=self._policy,
         )
         self.address = self._gate.address
 
@@ -105,6 +119,8 @@ class CommandServer:
         """Send what is answered already and give the address back."""
         if self._socket is not None:
             self._socket.close()
+        if self._gate is not None:
+            self._gate.shut()
         self._context.term()
         if self._gate is not None:
             self._gate.close()
@@ -114,11 +130,12 @@ class CommandServer:
         parts = [frame.bytes for frame in frames[:4]]
         route = tuple(parts[:2] if len(parts) > 2 and not parts[1] else parts[:1])
         body = parts[len(route) :]
+        sender = self._gate.note_received(frames[-1]) if self._gate is not None else None
         if len(body) == 1 and len(body[0]) > INLINE_BYTES:
             if self._is_full(route):
                 await self._reply(route, messages.error_bytes(messages.BUSY, TOO_MANY, None))
             else:
-                self._start(route, self._parse_and_answer(route, body[0]))
+                self._start(route, self._parse_and_answer(route, body[0], sender))
             return
         try:
             if len(body) != 1:
@@ -130,7 +147,7 @@ class CommandServer:
         if self._is_full(route, request.method in LARGE) and request.method not in ALWAYS:
             await self._reply(route, messages.error_bytes(messages.BUSY, TOO_MANY, request.id))
             return
-        self._start(route, self._answer(route, request), is_large=request.method in LARGE)
+        self._start(route, self._answer(route, request, sender), is_large=request.method in LARGE)
 
     def _is_full(self, route: ReturnRoute, is_large: bool = False) -> bool:
         """Whether a command has no place. Those with large answers may wait long, and take no other's."""
@@ -154,18 +171,18 @@ class CommandServer:
         if not task.cancelled() and task.exception() is not None:
             log.error("an answer could not be sent", exc_info=task.exception())
 
-    async def _parse_and_answer(self, route: ReturnRoute, body: bytes) -> None:
+    async def _parse_and_answer(self, route: ReturnRoute, body: bytes, sender: str | None) -> None:
         """A long request, a campaign most likely: parsed off the event loop."""
         try:
             request = await off_loop(messages.parse_request, body)
         except BadRequestError as exc:
             await self._reply(route, messages.error_bytes(exc.code, str(exc), exc.id))
             return
-        await self._answer(route, request)
+        await self._answer(route, request, sender)
 
-    async def _answer(self, route: ReturnRoute, request: RpcRequest) -> None:
+    async def _answer(self, route: ReturnRoute, request: RpcRequest, sender: str | None) -> None:
         if request.method not in LARGE:
-            await self._reply_to(route, request, await self.dispatcher.answer(request, Role.OPERATOR))
+            await self._reply_to(route, request, await self._outcome(request, sender))
             return
         while True:
             if not await self._unread.wait_for_room(route[0]):
@@ -174,8 +191,14 @@ class CommandServer:
                 return
             async with self._turn:
                 if self._unread.has_room(route[0]):  # another answer of this client may have taken it meanwhile
-                    await self._reply_to(route, request, await self.dispatcher.answer(request, Role.OPERATOR))
+                    await self._reply_to(route, request, await self._outcome(request, sender))
                     return
+
+    async def _outcome(self, request: RpcRequest, sender: str | None) -> bytes:
+        """The answer; the role is the one that the sender's key has now, not when it connected."""
+        access = self._policy.access
+        role = Role.OPERATOR if access is None else access.role_of(sender) if sender is not None else None
+        return await self.dispatcher.answer(request, role)
 
     async def _reply_to(self, route: ReturnRoute, request: RpcRequest, answer: bytes) -> None:
         if not request.is_notification:

@@ -6,12 +6,18 @@ import asyncio
 import socket
 import time
 from collections.abc import Callable
+from itertools import count
 
 from labdaemon.stream.zmtp import PeerInspector, PeerLimits, PeerRefusal
 
 BLOCK_BYTES = 128 << 10
 """Bytes moved at a time: a fraction of a millisecond of the event loop."""
 MOST_LAST_BLOCKS = 64  # of a peer that has closed: what it said last is still passed on, within bounds
+UNRECEIVED = 4
+"""So many messages' bytes of an encrypted connection may be passed on of which no whole message has come yet."""
+ENDLESS_S = 5.0
+"""A connection that has reached that, and of which nothing comes for so long, is sending one message without end."""
+_numbers = count(1)
 NOT_NOW = (BlockingIOError, InterruptedError)
 """What a socket says that has nothing to read, or no room."""
 
@@ -142,9 +148,15 @@ class PeerConnection:
         Makes a connection to libzmq; raises `OSError` when it cannot.
     on_close
         Called once with this connection and the reason, empty where the peer has simply left.
+    is_encrypted
+        Whether the peer has to have a key.
 
     Attributes
     ----------
+    number
+        Unique in this process.
+    public
+        The key that it has proved to have, once that is so.
     accepted_s, active_s
         When it came, and when bytes last moved, on the monotonic clock.
     is_waiting
@@ -155,11 +167,20 @@ class PeerConnection:
         self,
         peer: socket.socket,
         limits: PeerLimits,
-        connect: Callable[[], socket.socket],
+        connect: Callable[[PeerConnection], socket.socket],
         on_close: Callable[[PeerConnection, str], None],
+        *,
+        is_encrypted: bool = False,
     ) -> None:
         self._peer, self._limits, self._connect, self._on_close = peer, limits, connect, on_close
-        self._inspector = PeerInspector(limits)
+        self._is_encrypted = is_encrypted
+        self._inspector = PeerInspector(limits, is_encrypted=is_encrypted)
+        self.number = next(_numbers)
+        self.public: str | None = None
+        self._holds: set[str] = set()
+        self._unreceived = 0
+        self._full_s: float | None = None
+        self._topics = 0
         self._inner: socket.socket | None = None
         self._pipes: list[ByteRelay] = []
         self._first = b""
@@ -174,8 +195,24 @@ class PeerConnection:
 
     @property
     def is_ready(self) -> bool:
-        """Whether its handshake has come."""
-        return self._inspector.is_ready
+        """Whether its handshake has come, and its key is one that is listed."""
+        return self._inspector.is_ready and (not self._is_encrypted or self.public is not None)
+
+    @property
+    def is_endless(self) -> bool:
+        """Whether it has sent more than a message may have, and no message came of it for a while."""
+        return self._full_s is not None and time.monotonic() - self._full_s > ENDLESS_S
+
+    def note_received(self) -> None:
+        """A whole message of it has come out of libzmq: what was sent before it is no part of an endless one."""
+        self._unreceived, self._full_s = 0, None
+        self._release("unreceived")
+
+    def count_topic(self, change: int) -> None:
+        """Count a subscription (1) or its end (-1) of an encrypted connection, whose own bytes do not show it."""
+        self._topics = max(self._topics + change, 0)
+        if self._limits.topics is not None and self._topics > self._limits.topics:
+            self.close(f"more than {self._limits.topics} subscriptions")
 
     def deliver(self) -> None:
         """Send what libzmq left for the peer, as far as it takes it at once: the daemon ends."""
@@ -213,7 +250,7 @@ class PeerConnection:
             self._first += self._seen(data)
             if not self._inspector.is_peer:
                 return
-            self._inner = self._connect()
+            self._inner = self._connect(self)
         except (OSError, PeerRefusal) as exc:
             self.close(str(exc))
             return
@@ -223,8 +260,8 @@ class PeerConnection:
         self._pipes = [inward, outward]
         first, self._first = self._first, b""
         inward.put(first)
-        inward.start()
         outward.start()
+        self._release("")
 
     def _sent(self, data: bytes) -> bytes:
         self.active_s = time.monotonic()
@@ -240,11 +277,26 @@ class PeerConnection:
             self._tokens += (now_s - self._seen_s) * self._limits.bytes_per_s
             self._tokens = min(self._tokens, self._limits.burst_bytes) - len(data)
             if self._tokens < 0 and self._pipes and self._resume is None:
-                self._pipes[0].hold()
+                self._hold("rate")
                 self._resume = self._loop.call_later(-self._tokens / self._limits.bytes_per_s, self._read_again)
         self.active_s = self._seen_s = now_s
+        if self._is_encrypted and self._inspector.is_ready:
+            self._unreceived += len(data)
+            if self._unreceived > UNRECEIVED * self._limits.message_bytes and self._full_s is None:
+                self._full_s = now_s
+                self._hold("unreceived")
         return passed
+
+    def _hold(self, why: str) -> None:
+        self._holds.add(why)
+        if self._pipes:
+            self._pipes[0].hold()
+
+    def _release(self, why: str) -> None:
+        self._holds.discard(why)
+        if not self._holds and self._pipes and self._peer.fileno() >= 0:
+            self._pipes[0].start()
 
     def _read_again(self) -> None:
         self._resume = None
-        self._pipes[0].start()
+        self._release("rate")

@@ -12,10 +12,16 @@ import errno
 import logging
 import os
 import resource
+import shutil
 import socket
+import tempfile
 import time
 import uuid
 
+import zmq
+
+from labdaemon.stream.curve_door import CurveDoor, sender_of
+from labdaemon.stream.listener import SocketFile, listen, stop_listening
 from labdaemon.stream.peer_connection import NOT_NOW, PeerConnection
 from labdaemon.stream.zmtp import PeerLimits
 
@@ -26,8 +32,8 @@ RESERVED = 320
 MOST_PEERS = 200  # each takes descriptors of the thousand or so that a process has
 LEAST_PEERS = 8  # where the system allows few descriptors, a rig's own programs still connect
 GATES = 2  # commands and events
-DESCRIPTORS_A_PEER = 3
-"""Its TCP socket, and both ends of its connection to libzmq."""
+DESCRIPTORS_A_PEER = 4
+"""Its TCP socket, both ends of its connection to libzmq, and where keys are checked a socket that listens for it."""
 HANDSHAKE_S = 5.0
 """A peer that has not said hello by then is none."""
 HELLO_S = 0.5
@@ -54,8 +60,16 @@ def most_peers() -> int:
     return min(max((limit - RESERVED) // (GATES * DESCRIPTORS_A_PEER), LEAST_PEERS), MOST_PEERS)
 
 
-def inner_address() -> str:
-    """A name for libzmq's own socket, which leaves no file behind where the system can do without one."""
+def inner_address(*, is_private: bool = False) -> str:
+    """A name for libzmq's own socket, which leaves no file behind where the system can do without one.
+
+    Parameters
+    ----------
+    is_private
+        Whether other users of the machine must not reach it: then it lies in a folder that only this user can open.
+    """
+    if is_private:
+        return f"ipc://{tempfile.mkdtemp(prefix='labdaemon-')}/inner"
     return f"ipc://@labdaemon-{os.getpid()}-{uuid.uuid4().hex}"
 
 
@@ -75,6 +89,10 @@ class PeerGate:
         the newcomer is turned away.
     most
         Connections at a time.
+    door
+        Checks the keys of those that come; None where nothing is encrypted.
+    place
+        Of a Unix socket: its file's mode and group.
 
     Attributes
     ----------
@@ -85,9 +103,18 @@ class PeerGate:
     """
 
     def __init__(
-        self, address: str, inner: str, limits: PeerLimits, *, evicts_idle: bool, most: int | None = None
+        self,
+        address: str,
+        inner: str,
+        limits: PeerLimits,
+        *,
+        evicts_idle: bool,
+        most: int | None = None,
+        door: CurveDoor | None = None,
+        place: SocketFile | None = None,
     ) -> None:
         self._limits, self._evicts_idle = limits, evicts_idle
+        self.door = door
         self._inner = inner.removeprefix("ipc://")
         self._most = most if most is not None else most_peers()
         self._connections: list[PeerConnection] = []
@@ -95,9 +122,8 @@ class PeerGate:
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._logged_s = -LOG_EVERY_S
         self.refusals: int = 0
-        self._listener = _listen(address)
-        host, _, _ = address.removeprefix("tcp://").rpartition(":")
-        self.address: str = f"tcp://{host}:{self._listener.getsockname()[1]}"
+        self.address: str
+        self._listener, self.address = listen(address, BACKLOG, place)
 
     def open(self) -> None:
         """Let peers in from now on. Call it on the event loop; again is harmless."""
@@ -105,6 +131,34 @@ class PeerGate:
             self._loop = asyncio.get_running_loop()
             self._accept_again()
             self._sweep()
+            if self.door is not None:
+                self.door.open(self._end_unlisted)
+
+    def note_received(self, frame: zmq.Frame) -> str | None:
+        """Note a message that came out of libzmq, by one of its frames.
+
+        Returns
+        -------
+        str | None
+            The key that its sender has proved to have; None where nothing is encrypted.
+        """
+        if self.door is None:
+            return None
+        public, number = sender_of(frame)
+        connection = self.door.connection(number)
+        if connection is not None:
+            connection.note_received()
+        return public
+
+    def count_topic(self, frame: zmq.Frame) -> None:
+        """Count a subscription, or its end, that came out of libzmq."""
+        if self.door is not None and (connection := self.door.connection(sender_of(frame)[1])) is not None:
+            connection.count_topic(1 if frame.bytes[:1] == b"\x01" else -1)
+
+    def shut(self) -> None:
+        """Check no more keys, before libzmq ends: its context waits for the socket on which it asks."""
+        if self.door is not None:
+            self.door.close()
 
     def close(self) -> None:
         """Give the port back; what libzmq still had for the peers is sent as far as they take it at once."""
@@ -112,7 +166,10 @@ class PeerGate:
             self._loop.remove_reader(self._listener)
         for timer in self._timers.values():
             timer.cancel()
-        self._listener.close()
+        stop_listening(self._listener, self.address)
+        self.shut()
+        if not self._inner.startswith("@"):
+            shutil.rmtree(os.path.dirname(self._inner), ignore_errors=True)  # empty, or nearly
         for connection in list(self._connections):
             connection.deliver()
             connection.close()
@@ -149,12 +206,16 @@ class PeerGate:
             return
         try:
             peer.setblocking(False)
-            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            if peer.family != socket.AF_UNIX:
+                peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         except OSError:
             peer.close()  # it has left already
             return
-        self._connections.append(PeerConnection(peer, self._limits, self._connect, self._forget))
+        is_encrypted = self.door is not None
+        self._connections.append(
+            PeerConnection(peer, self._limits, self._connect, self._forget, is_encrypted=is_encrypted)
+        )
 
     def _least_missed(self) -> PeerConnection | None:
         """The connection that may give its place to another: the longest silent of those that wait for nothing."""
@@ -167,12 +228,13 @@ class PeerGate:
             silent = silent or [one for one in idle if now_s - one.active_s > WAITS_S]
         return min(silent, key=lambda connection: connection.active_s, default=None)
 
-    def _connect(self) -> socket.socket:
+    def _connect(self, connection: PeerConnection) -> socket.socket:
         """To libzmq, which accepts at once or is full."""
+        name = self._inner if self.door is None else self.door.endpoint(connection).removeprefix("ipc://")
         inner = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
             inner.setblocking(False)
-            inner.connect(self._inner.replace("@", "\0", 1) if self._inner[:1] == "@" else self._inner)
+            inner.connect(name.replace("@", "\0", 1) if name[:1] == "@" else name)
         except OSError:
             inner.close()
             raise
@@ -180,6 +242,8 @@ class PeerGate:
 
     def _forget(self, connection: PeerConnection, why: str) -> None:
         self._connections.remove(connection)
+        if self.door is not None:
+            self.door.leave(connection)
         if why:
             self._note(why)
 
@@ -191,7 +255,15 @@ class PeerGate:
         for connection in list(self._connections):
             if not connection.is_ready and now_s - connection.accepted_s > HANDSHAKE_S:
                 connection.close("it never said hello")
+            elif connection.is_endless:
+                connection.close("a message without end")
         self._timers["sweep"] = self._loop.call_later(1.0, self._sweep)
+
+    def _end_unlisted(self) -> None:
+        """The list of clients has changed: those that it no longer has are out."""
+        for connection in list(self._connections):
+            if self.door is not None and connection.public is not None and not self.door.is_listed(connection.public):
+                connection.close("its key is no longer listed")
 
     def _pause(self, seconds: float) -> None:
         if self._loop is not None:
@@ -205,29 +277,3 @@ class PeerGate:
         if now_s - self._logged_s >= LOG_EVERY_S:
             self._logged_s = now_s
             log.warning("%s: connection refused: %s (%d so far)", self.address, why, self.refusals)
-
-
-def _listen(address: str) -> socket.socket:
-    """A listening socket.
-
-    Raises
-    ------
-    OSError
-        The address is taken, or none of this machine's.
-    """
-    host, _, port = address.removeprefix("tcp://").rpartition(":")
-    found = socket.getaddrinfo(host.strip("[]"), None if port == "*" else int(port), type=socket.SOCK_STREAM)
-    found.sort(key=lambda entry: entry[0] != socket.AF_INET)  # "localhost" is both; clients look for the older first
-    family, kind, protocol, _, place = found[0]
-    listener = socket.socket(family, kind | socket.SOCK_CLOEXEC, protocol)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        listener.bind(place)
-        listener.listen(BACKLOG)
-        listener.setblocking(False)
-    except OSError:
-        listener.close()
-        raise
-    return listener

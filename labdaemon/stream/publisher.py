@@ -22,7 +22,7 @@ from labdaemon.journal.event import EventText
 from labdaemon.plain_json import dump_json
 from labdaemon.stream.messages import InvalidParamsError, RawJson
 from labdaemon.stream.peer_gate import PeerGate
-from labdaemon.stream.sockets import EVENTS_HIGH_WATER, bind
+from labdaemon.stream.sockets import ANYBODY, EVENTS_HIGH_WATER, DoorPolicy, bind
 from labdaemon.stream.text_limits import bounded_text
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -78,10 +78,20 @@ class EventPublisher:
         Called every second for the heartbeat's ``data``; ``campaign`` in it is also the message's own.
     clock
         Stamps the status.
+    policy
+        Who gets in.
     """
 
-    def __init__(self, address: str, outbox: Outbox, status: Callable[[], dict[str, Any]], clock: Clock) -> None:
+    def __init__(
+        self,
+        address: str,
+        outbox: Outbox,
+        status: Callable[[], dict[str, Any]],
+        clock: Clock,
+        policy: DoorPolicy = ANYBODY,
+    ) -> None:
         self.address: str = address
+        self._policy = policy
         self._outbox, self._status, self._clock = outbox, status, clock
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
@@ -99,9 +109,13 @@ class EventPublisher:
             It is taken.
         """
         self._socket, self._gate = bind(
-            self._context, zmq.XPUB, self.address, key="service.events", high_water=EVENTS_HIGH_WATER
+            self._context,
+            zmq.XPUB,
+            self.address,
+            key="service.events",
+            high_water=EVENTS_HIGH_WATER,
+            policy=self._policy,
         )
-        self._socket.set(zmq.XPUB_VERBOSE, 1)
         self.address = self._gate.address
 
     def wake(self) -> None:
@@ -169,16 +183,22 @@ class EventPublisher:
     async def _greet(self) -> None:
         """Answer each new subscription with a status, so that a client knows at once where the history stands."""
         while True:
-            message = await self._bound.recv_multipart()
-            is_new = message[0][:1] == b"\x01"
+            is_new = self._note_change(await self._bound.recv_multipart(copy=False))
             for _ in range(GREETED_AT_A_TIME):
                 if not await self._bound.poll(0):
                     break
-                is_new |= (await self._bound.recv_multipart())[0][:1] == b"\x01"
+                is_new |= self._note_change(await self._bound.recv_multipart(copy=False))
             if is_new:
                 with self._waiting_for_disk():
                     await self._send_status()
                 await asyncio.sleep(GREETING_PAUSE_S)
+
+    def _note_change(self, frames: list[zmq.Frame]) -> bool:
+        """Whether it is a new subscription."""
+        if self._gate is not None:
+            self._gate.note_received(frames[0])
+            self._gate.count_topic(frames[0])
+        return frames[0].bytes[:1] == b"\x01"
 
     @property
     def _bound(self) -> zmq.asyncio.Socket:
@@ -190,6 +210,8 @@ class EventPublisher:
         """Deliver what was sent and give the address back."""
         if self._socket is not None:
             self._socket.close()
+        if self._gate is not None:
+            self._gate.shut()
         self._context.term()
         if self._gate is not None:
             self._gate.close()

@@ -1,13 +1,17 @@
-"""Sockets of the daemon: bound on loopback, with limits on what a peer can make them hold."""
+"""Sockets of the daemon, with limits on what a peer can make them hold."""
 
 from __future__ import annotations
 
 import errno
+from dataclasses import dataclass
 
 import zmq
 import zmq.asyncio
 
 from labdaemon.errors import ConfigError
+from labdaemon.stream.access import KeyAccess
+from labdaemon.stream.curve_door import CurveDoor
+from labdaemon.stream.listener import SocketFile
 from labdaemon.stream.peer_gate import BACKLOG, PeerGate, inner_address
 from labdaemon.stream.zmtp import PeerLimits
 
@@ -28,8 +32,34 @@ LINGER_MS = 500
 """How long a closing socket tries to deliver what it still has."""
 
 
+@dataclass(frozen=True, slots=True)
+class DoorPolicy:
+    """Who gets in at a socket.
+
+    Attributes
+    ----------
+    access
+        Clients with listed keys only; None for everybody who reaches the address.
+    place
+        Permissions of a Unix socket's file.
+    """
+
+    access: KeyAccess | None = None
+    place: SocketFile | None = None
+
+
+ANYBODY = DoorPolicy()
+"""Whoever reaches the address, which is loopback's."""
+
+
 def bind(
-    context: zmq.asyncio.Context, kind: int, address: str, *, key: str, high_water: int
+    context: zmq.asyncio.Context,
+    kind: int,
+    address: str,
+    *,
+    key: str,
+    high_water: int,
+    policy: DoorPolicy = ANYBODY,
 ) -> tuple[zmq.asyncio.Socket, PeerGate]:
     """A bound socket, and the gate through which its peers come once that is opened.
 
@@ -38,11 +68,13 @@ def bind(
     kind
         ``zmq.XPUB`` or ``zmq.ROUTER``.
     address
-        ``tcp://127.0.0.1:PORT``.
+        ``tcp://HOST:PORT`` or ``ipc://PATH``.
     key
         Of the rig file, for the message.
     high_water
         Messages kept for each peer.
+    policy
+        Who gets in.
 
     Raises
     ------
@@ -50,15 +82,7 @@ def bind(
         The address is taken (by another daemon, most likely) or is none of this machine's.
     """
     is_commands = kind == zmq.ROUTER
-    inner = inner_address()
-    try:
-        gate = PeerGate(address, inner, COMMANDS_LIMITS if is_commands else EVENTS_LIMITS, evicts_idle=is_commands)
-    except (OSError, ValueError, OverflowError) as exc:
-        if getattr(exc, "errno", None) == errno.EADDRINUSE:
-            message = f"{address} is taken, most likely by a daemon that runs already; stop it or choose another port"
-        else:
-            message = f"{address} cannot be bound: {getattr(exc, 'strerror', None) or exc}"
-        raise ConfigError(message, key=key) from None
+    inner = inner_address(is_private=policy.place is not None)
     socket = context.socket(kind)
     socket.set(zmq.LINGER, LINGER_MS)
     socket.set(zmq.SNDHWM, high_water)
@@ -68,10 +92,34 @@ def bind(
     if is_commands:
         # Of two clients with one identity the newcomer is heard: the other one may be dead without a trace.
         socket.set(zmq.ROUTER_HANDOVER, 1)
+    else:
+        # Each subscription is seen, and each end of one: they are counted.
+        socket.set(zmq.XPUB_VERBOSER, 1)
+    door = CurveDoor(context, socket, policy.access, inner) if policy.access is not None else None
+    limits = COMMANDS_LIMITS if is_commands else EVENTS_LIMITS
     try:
-        socket.bind(inner)
-    except zmq.ZMQError as exc:
-        socket.close(linger=0)
-        gate.close()
-        raise ConfigError(f"{address} cannot be served: {exc.strerror}", key=key) from None
+        gate = PeerGate(address, inner, limits, evicts_idle=is_commands, door=door, place=policy.place)
+    except (OSError, ValueError, OverflowError) as exc:
+        _give_up(socket, door)
+        if getattr(exc, "errno", None) == errno.EADDRINUSE:
+            message = f"{address} is taken, most likely by a daemon that runs already; stop it or choose another port"
+        else:
+            message = f"{address} cannot be bound: {getattr(exc, 'strerror', None) or exc}"
+        raise ConfigError(message, key=key) from None
+    except BaseException:
+        _give_up(socket, door)
+        raise
+    if door is None:
+        try:
+            socket.bind(inner)
+        except zmq.ZMQError as exc:
+            socket.close(linger=0)
+            gate.close()
+            raise ConfigError(f"{address} cannot be served: {exc.strerror}", key=key) from None
     return socket, gate
+
+
+def _give_up(socket: zmq.asyncio.Socket, door: CurveDoor | None) -> None:
+    socket.close(linger=0)
+    if door is not None:
+        door.close()

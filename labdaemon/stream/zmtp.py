@@ -2,7 +2,7 @@
 
 libzmq bounds a single frame. It keeps a message of endless frames until the last, and every topic of a subscriber for
 as long as that is connected; a port scanner's bytes occupy a connection until a timeout. Only lengths, flags and topics
-are looked at here, nothing is changed, so encrypted connections pass as well.
+are looked at here. Of an encrypted connection only lengths can be seen.
 """
 
 from __future__ import annotations
@@ -17,6 +17,13 @@ FRAME_COST = 64
 """What libzmq keeps for a frame in addition to its bytes."""
 PREFIX_BYTES = 10
 """Enough of a frame's body to see a subscription in it."""
+MECHANISM = slice(12, 32)
+"""Where a greeting names how its peer wants to prove who it is."""
+CURVE = b"CURVE".ljust(20, b"\0")
+CURVE_HELLO, CURVE_INITIATE = b"\x05HELLO", b"\x08INITIATE"
+"""What the two commands of an encrypted handshake begin with."""
+CURVE_BYTES = 33
+"""By which encryption makes a frame longer."""
 IDENTITY, NO_IDENTITY = b"\x08Identity", b"\x08X-Origin"
 """A property of a client's first command, and one of the same length that libzmq does not know."""
 HANDSHAKE_BYTES = 4096
@@ -55,6 +62,9 @@ class PeerInspector:
     ----------
     limits
         What it may send.
+    is_encrypted
+        Whether it must encrypt (CURVE). Then messages cannot be told from one another, nor topics be seen: each frame
+        is bounded here, and the rest is counted where it is decrypted.
 
     Attributes
     ----------
@@ -66,8 +76,9 @@ class PeerInspector:
         How many have come since.
     """
 
-    def __init__(self, limits: PeerLimits) -> None:
-        self._limits = limits
+    def __init__(self, limits: PeerLimits, *, is_encrypted: bool = False) -> None:
+        self._limits, self._is_encrypted = limits, is_encrypted
+        self._said_hello = False
         self.is_peer: bool = False
         self.is_ready: bool = False
         self.messages: int = 0
@@ -85,7 +96,7 @@ class PeerInspector:
         """Look at the next bytes; what of them, and of earlier ones, is to be passed on now.
 
         The identity that a client gives itself is not: two clients with one identity would get one another's answers,
-        or libzmq would serve the first one only, which may be dead without a trace. An encrypted one passes.
+        or libzmq would serve the first one only, which may be dead without a trace. An encrypted one cannot be seen.
 
         Raises
         ------
@@ -113,7 +124,7 @@ class PeerInspector:
             at += 1
             if len(self._header) == (9 if self._header[0] & LONG else 2):
                 self._begin_frame()
-        if was_ready:
+        if was_ready or self._is_encrypted:
             return data
         self._hello += data
         if self.is_ready:
@@ -131,13 +142,15 @@ class PeerInspector:
             raise PeerRefusal("no ZeroMQ peer")
         if len(seen) > SIGNATURE_BYTES and seen[SIGNATURE_BYTES] < 3:
             raise PeerRefusal("a ZeroMQ peer older than version 4")
+        if self._is_encrypted and seen[MECHANISM] != CURVE[: len(seen[MECHANISM])]:
+            raise PeerRefusal("a peer without a key")
 
     def _begin_frame(self) -> None:
         self._flags, self._left = self._header[0], int.from_bytes(self._header[1:], "big")
         self._header = self._prefix = b""
         if self._flags & ~(MORE | LONG | COMMAND):
             raise PeerRefusal("bytes that are no frame")
-        longest = self._limits.frame_bytes if self.is_ready else HANDSHAKE_BYTES
+        longest = self._limits.frame_bytes + CURVE_BYTES * self._is_encrypted if self.is_ready else HANDSHAKE_BYTES
         if self._left > longest:
             raise PeerRefusal(f"a frame of more than {longest} bytes")
         self._message_bytes += self._left + FRAME_COST
@@ -149,11 +162,21 @@ class PeerInspector:
     def _end_frame(self) -> None:
         if not self._flags & MORE:
             self._message_bytes = 0
-        self.messages += self.is_ready and not self._flags & (MORE | COMMAND)
+        self.messages += self.is_ready and (self._is_encrypted or not self._flags & (MORE | COMMAND))
         if not self.is_ready:
-            self.is_ready = True
-        elif self._limits.topics is not None:
+            self.is_ready = self._ends_handshake()
+        elif self._limits.topics is not None and not self._is_encrypted:
             self._count_topics(self._limits.topics)
+
+    def _ends_handshake(self) -> bool:
+        """Whether this command was its part's last: the first where nothing is encrypted, else the second."""
+        if not self._is_encrypted:
+            return True
+        expected = CURVE_INITIATE if self._said_hello else CURVE_HELLO
+        if not self._flags & COMMAND or not self._prefix.startswith(expected):
+            raise PeerRefusal("no handshake of a peer with a key")
+        was_hello, self._said_hello = not self._said_hello, True
+        return not was_hello
 
     def _count_topics(self, most: int) -> None:
         """A subscription is a message that begins with 1 (its end: with 0), or a command of that name."""

@@ -1,0 +1,91 @@
+"""Unix sockets: who may connect, and what a daemon that was killed leaves behind."""
+
+from __future__ import annotations
+
+import grp
+import os
+import socket
+import stat
+from pathlib import Path
+
+import pytest
+
+from labdaemon.errors import ConfigError
+from labdaemon.stream.client import Client
+from labdaemon.stream.listener import SocketFile, listen, stop_listening
+from labdaemon.stream.sockets import DoorPolicy
+from labdaemon.testing.fake_daemon import FakeDaemon
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> str:
+    return f"ipc://{tmp_path}/c.sock"
+
+
+def mode_of(address: str) -> int:
+    return stat.S_IMODE(os.stat(address.removeprefix("ipc://")).st_mode)
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o660, 0o666])
+def test_the_file_says_who_may_connect(address: str, mode: int) -> None:
+    listener, where = listen(address, 8, SocketFile(mode, grp.getgrgid(os.getgid()).gr_name))
+    assert (where, mode_of(address)) == (address, mode)
+    stop_listening(listener, address)
+    assert not os.path.exists(address.removeprefix("ipc://"))
+
+
+def test_the_file_of_a_killed_daemon_is_replaced(address: str) -> None:
+    listener, _ = listen(address, 8)
+    listener.close()  # as a kill does: the file stays
+    again, _ = listen(address, 8)
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(address.removeprefix("ipc://"))
+    stop_listening(again, address)
+
+
+def test_two_daemons_do_not_share_a_path(address: str) -> None:
+    listener, _ = listen(address, 8)
+    with pytest.raises(OSError, match="another program listens"):
+        listen(address, 8)
+    stop_listening(listener, address)
+
+
+def test_a_file_that_is_no_socket_is_left_alone(address: str, tmp_path: Path) -> None:
+    (tmp_path / "c.sock").write_text("mine")
+    with pytest.raises(OSError, match="another file"):
+        listen(address, 8)
+    assert (tmp_path / "c.sock").read_text() == "mine"
+
+
+def test_a_group_that_is_not_there_is_named(address: str) -> None:
+    with pytest.raises(ConfigError, match="no group 'nosuchgroup'"):
+        listen(address, 8, SocketFile(0o660, "nosuchgroup"))
+
+
+def test_a_client_commands_and_hears_over_unix_sockets(tmp_path: Path) -> None:
+    daemon = FakeDaemon(DoorPolicy(place=SocketFile()))
+    daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
+    daemon.start()
+    try:
+        assert {mode_of(daemon.commands), mode_of(daemon.events)} == {0o600}
+        with Client(daemon.commands, daemon.events, timeout_s=20) as lab:
+            assert next(lab.events(timeout_s=20))["kind"] == "status"
+            assert lab.call("stop")["rest"] == "shaker"
+        # Other users must not find the way past the file's permissions either: abstract names have none.
+        assert not [line for line in Path("/proc/net/unix").read_text().splitlines() if f"-{os.getpid()}-" in line]
+    finally:
+        daemon.stop()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_inner_socket_lies_in_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    daemon = FakeDaemon(DoorPolicy(place=SocketFile()))
+    daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
+    daemon.start()
+    try:
+        folders = [path for path in tmp_path.iterdir() if path.is_dir()]
+        assert [stat.S_IMODE(path.stat().st_mode) for path in folders] == [0o700, 0o700]
+    finally:
+        daemon.stop()
+    assert list(tmp_path.iterdir()) == []
