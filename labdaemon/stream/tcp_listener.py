@@ -6,7 +6,10 @@ import errno
 import socket
 
 from labdaemon.errors import ConfigError
-from labdaemon.stream.peer_gate import _listen as listen
+from labdaemon.stream.listener import TCP, listen
+
+BACKLOG = 128
+"""Newcomers that wait in the system's queue."""
 
 
 def listen_tcp(address: str, key: str) -> tuple[socket.socket, str]:
@@ -26,12 +29,11 @@ def listen_tcp(address: str, key: str) -> tuple[socket.socket, str]:
     """
     scheme, _, place = address.partition("://")
     try:
-        listener = listen(place)
+        listener, taken = listen(TCP + place, BACKLOG)
     except (OSError, ValueError, OverflowError) as exc:
         if getattr(exc, "errno", None) == errno.EADDRINUSE:
             message = f"{address} is taken, most likely by a daemon that runs already; stop it or choose another port"
         else:
             message = f"{address} cannot be bound: {getattr(exc, 'strerror', None) or exc}"
         raise ConfigError(message, key=key) from None
-    host, _, _ = place.rpartition(":")
-    return listener, f"{scheme}://{host}:{listener.getsockname()[1]}"
+    return listener, f"{scheme}://{taken.removeprefix(TCP)}"
