@@ -56,8 +56,8 @@ class KeyAccess:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.pair = own_pair(folder)
+        self.folder: Path = folder
+        self.pair: KeyPair = own_pair(folder)
         self._clients: Mapping[str, ListedClient] = {}
         self._listeners: list[Callable[[], None]] = []
         self._absent = 0

@@ -175,7 +175,7 @@ class PeerConnection:
         self._peer, self._limits, self._connect, self._on_close = peer, limits, connect, on_close
         self._is_encrypted = is_encrypted
         self._inspector = PeerInspector(limits, is_encrypted=is_encrypted)
-        self.number = next(_numbers)
+        self.number: int = next(_numbers)
         self.public: str | None = None
         self._holds: set[str] = set()
         self._unreceived = 0

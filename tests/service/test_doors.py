@@ -12,7 +12,7 @@ from labdaemon.service.doors import open_doors
 from labdaemon.service_section import ServiceSection, keys_folder, read_service
 from labdaemon.stream.access import CLIENTS
 from labdaemon.stream.listener import SocketFile
-from labdaemon.testing.fake_daemon import FakeKeys
+from labdaemon.testing.stream_daemon import FakeKeys
 
 
 class Rig:

@@ -9,7 +9,7 @@ import pytest
 import zmq
 
 from labdaemon.stream.sockets import DoorPolicy
-from labdaemon.testing.fake_daemon import FakeDaemon, FakeKeys
+from labdaemon.testing.stream_daemon import FakeKeys, StreamDaemon
 
 
 @pytest.fixture
@@ -31,17 +31,17 @@ def keys(tmp_path: Path) -> FakeKeys:
 
 
 @pytest.fixture
-def daemon() -> Iterator[FakeDaemon]:
-    daemon = FakeDaemon()
+def daemon() -> Iterator[StreamDaemon]:
+    daemon = StreamDaemon()
     daemon.start()
     yield daemon
     daemon.stop()
 
 
 @pytest.fixture
-def guarded(keys: FakeKeys) -> Iterator[FakeDaemon]:
+def guarded(keys: FakeKeys) -> Iterator[StreamDaemon]:
     """A daemon that lets listed keys in and no others."""
-    daemon = FakeDaemon(DoorPolicy(keys.access))
+    daemon = StreamDaemon(DoorPolicy(keys.access))
     daemon.start()
     yield daemon
     daemon.stop()

@@ -10,7 +10,7 @@ from labdaemon.errors import ConfigError
 from labdaemon.stream.access import ABSENT_LOOKS, CLIENTS, KeyAccess
 from labdaemon.stream.key_list import remove_client
 from labdaemon.stream.roles import Role
-from labdaemon.testing.fake_daemon import FakeKeys
+from labdaemon.testing.stream_daemon import FakeKeys
 
 
 @pytest.fixture

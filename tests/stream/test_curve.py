@@ -14,21 +14,21 @@ from labdaemon.stream.client_sockets import connect
 from labdaemon.stream.key_files import KeyPair, make_pair
 from labdaemon.stream.key_list import remove_client
 from labdaemon.stream.roles import Role
-from labdaemon.testing.fake_daemon import FakeDaemon, FakeKeys
+from labdaemon.testing.stream_daemon import FakeKeys, StreamDaemon
 
 SocketMaker = Callable[[int], "zmq.Socket[bytes]"]
 
 
-def client(daemon: FakeDaemon, pair: KeyPair | None, timeout_s: float = 20.0) -> Client:
+def client(daemon: StreamDaemon, pair: KeyPair | None, timeout_s: float = 20.0) -> Client:
     return Client(daemon.commands, daemon.events, timeout_s=timeout_s, key=pair)
 
 
-def look(daemon: FakeDaemon, keys: FakeKeys) -> None:
+def look(daemon: StreamDaemon, keys: FakeKeys) -> None:
     """What the daemon does every second."""
     daemon.run(keys.access.look())
 
 
-def test_an_operator_commands_and_hears(guarded: FakeDaemon, keys: FakeKeys) -> None:
+def test_an_operator_commands_and_hears(guarded: StreamDaemon, keys: FakeKeys) -> None:
     with client(guarded, keys.operator) as lab:
         events = lab.events(timeout_s=20)
         assert next(events)["kind"] == "status"
@@ -37,7 +37,7 @@ def test_an_operator_commands_and_hears(guarded: FakeDaemon, keys: FakeKeys) -> 
         assert next(event for event in events if event["kind"] == "fault")["seq"] == 1
 
 
-def test_an_observer_hears_and_reads_and_cannot_even_stop(guarded: FakeDaemon, keys: FakeKeys) -> None:
+def test_an_observer_hears_and_reads_and_cannot_even_stop(guarded: StreamDaemon, keys: FakeKeys) -> None:
     with client(guarded, keys.observer) as lab:
         assert next(lab.events(timeout_s=20))["kind"] == "status"
         assert lab.call("status")["state"] == "idle"
@@ -57,7 +57,7 @@ def stranger(request: pytest.FixtureRequest, keys: FakeKeys) -> KeyPair | None:
     }[request.param]
 
 
-def test_strangers_get_nothing(guarded: FakeDaemon, keys: FakeKeys, stranger: KeyPair | None) -> None:
+def test_strangers_get_nothing(guarded: StreamDaemon, keys: FakeKeys, stranger: KeyPair | None) -> None:
     with client(guarded, stranger, timeout_s=0.7) as lab:
         heard = lab.subscribe()
         with pytest.raises(NoDaemon):
@@ -68,7 +68,7 @@ def test_strangers_get_nothing(guarded: FakeDaemon, keys: FakeKeys, stranger: Ke
     assert [method for method, _ in guarded.asked] == ["status"]
 
 
-def test_a_revocation_ends_what_is_connected(guarded: FakeDaemon, keys: FakeKeys) -> None:
+def test_a_revocation_ends_what_is_connected(guarded: StreamDaemon, keys: FakeKeys) -> None:
     with client(guarded, keys.operator) as lost, client(guarded, keys.observer) as kept:
         streams = [lost.events(timeout_s=1.5), kept.events(timeout_s=20)]
         assert [next(stream)["kind"] for stream in streams] == ["status", "status"]
@@ -85,7 +85,7 @@ def test_a_revocation_ends_what_is_connected(guarded: FakeDaemon, keys: FakeKeys
         assert kept.call("status")["state"] == "idle"
 
 
-def test_a_changed_role_holds_for_connections_that_exist(guarded: FakeDaemon, keys: FakeKeys) -> None:
+def test_a_changed_role_holds_for_connections_that_exist(guarded: StreamDaemon, keys: FakeKeys) -> None:
     with client(guarded, keys.observer) as lab:
         with pytest.raises(RemoteError):
             lab.call("capture")
@@ -95,7 +95,7 @@ def test_a_changed_role_holds_for_connections_that_exist(guarded: FakeDaemon, ke
         assert lab.call("capture")["capture"] == "0001-a"
 
 
-def test_a_client_listed_later_gets_in_without_a_new_start(guarded: FakeDaemon, keys: FakeKeys) -> None:
+def test_a_client_listed_later_gets_in_without_a_new_start(guarded: StreamDaemon, keys: FakeKeys) -> None:
     late = keys.make("late", Role.OBSERVER)
     look(guarded, keys)
     with client(guarded, late) as lab:
@@ -103,7 +103,7 @@ def test_a_client_listed_later_gets_in_without_a_new_start(guarded: FakeDaemon, 
 
 
 def test_subscriptions_are_bounded_though_they_are_encrypted(
-    guarded: FakeDaemon, keys: FakeKeys, sockets: SocketMaker
+    guarded: StreamDaemon, keys: FakeKeys, sockets: SocketMaker
 ) -> None:
     greedy = sockets(zmq.SUB)
     for number in range(150):
@@ -114,7 +114,7 @@ def test_subscriptions_are_bounded_though_they_are_encrypted(
         assert next(lab.events(timeout_s=20))["kind"] == "status"
 
 
-def test_subscriptions_that_end_are_counted_back(guarded: FakeDaemon, keys: FakeKeys, sockets: SocketMaker) -> None:
+def test_subscriptions_that_end_are_counted_back(guarded: StreamDaemon, keys: FakeKeys, sockets: SocketMaker) -> None:
     busy = connect(sockets(zmq.SUB), guarded.events, keys.observer)
     for number in range(150):
         busy.set(zmq.SUBSCRIBE, b"t%d" % number)
@@ -125,7 +125,7 @@ def test_subscriptions_that_end_are_counted_back(guarded: FakeDaemon, keys: Fake
 
 
 def test_a_message_without_end_is_ended(
-    guarded: FakeDaemon, keys: FakeKeys, sockets: SocketMaker, monkeypatch: pytest.MonkeyPatch
+    guarded: StreamDaemon, keys: FakeKeys, sockets: SocketMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labdaemon.stream.peer_connection.ENDLESS_S", 0.3)
     greedy = connect(sockets(zmq.DEALER), guarded.commands, keys.operator)
@@ -135,7 +135,7 @@ def test_a_message_without_end_is_ended(
         assert lab.call("status")["state"] == "idle"
 
 
-def test_many_messages_are_no_message_without_end(guarded: FakeDaemon, keys: FakeKeys) -> None:
+def test_many_messages_are_no_message_without_end(guarded: StreamDaemon, keys: FakeKeys) -> None:
     with client(guarded, keys.operator) as lab:
         for _ in range(12):  # more bytes in all than one message may have
             lab.call("campaign.submit", toml="x" * 900_000)

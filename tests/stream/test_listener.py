@@ -14,7 +14,7 @@ from labdaemon.errors import ConfigError
 from labdaemon.stream.client import Client
 from labdaemon.stream.listener import SocketFile, listen, stop_listening
 from labdaemon.stream.sockets import DoorPolicy
-from labdaemon.testing.fake_daemon import FakeDaemon
+from labdaemon.testing.stream_daemon import StreamDaemon
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_a_group_that_is_not_there_is_named(address: str) -> None:
 
 
 def test_a_client_commands_and_hears_over_unix_sockets(tmp_path: Path) -> None:
-    daemon = FakeDaemon(DoorPolicy(place=SocketFile()))
+    daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
     daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
     daemon.start()
     try:
@@ -80,7 +80,7 @@ def test_a_client_commands_and_hears_over_unix_sockets(tmp_path: Path) -> None:
 
 def test_the_inner_socket_lies_in_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    daemon = FakeDaemon(DoorPolicy(place=SocketFile()))
+    daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
     daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
     daemon.start()
     try:

@@ -21,7 +21,7 @@ from labdaemon.stream.sockets import ANYBODY, DoorPolicy
 
 START_S = 20.0
 METHODS = ("status", "rig", "capture", "stop", "events.replay", "events.latest", "campaign.submit", "rpc.discover")
-"""Commands that it answers, each with what `FakeDaemon.results` has."""
+"""Commands that it answers, each with what `StreamDaemon.results` has."""
 
 
 class MemoryOutbox:
@@ -30,7 +30,7 @@ class MemoryOutbox:
     def __init__(self, uuid: str = "11111111-1111-1111-1111-111111111111") -> None:
         self.uuid = uuid
         self.events: list[EventText] = []
-        self.cut = 0
+        self.cut: int = 0
         """Events up to this `seq` are gone."""
 
     @property
@@ -58,7 +58,7 @@ class MemoryOutbox:
         return sorted({event.kind: event for event in self.events}.values(), key=lambda event: event.seq)
 
 
-class FakeDaemon:
+class StreamDaemon:
     """Serves commands and events from a thread of its own, so that a test may use blocking clients.
 
     Attributes
@@ -68,8 +68,10 @@ class FakeDaemon:
     """
 
     def __init__(self, policy: DoorPolicy = ANYBODY, *, outbox: MemoryOutbox | None = None) -> None:
-        self.policy, self.outbox = policy, outbox or MemoryOutbox()
-        self.commands, self.events = "tcp://127.0.0.1:*", "tcp://127.0.0.1:*"
+        self.policy: DoorPolicy = policy
+        self.outbox: MemoryOutbox = outbox or MemoryOutbox()
+        self.commands: str = "tcp://127.0.0.1:*"
+        self.events: str = "tcp://127.0.0.1:*"
         self.asked: list[tuple[str, dict[str, Any]]] = []
         self.results: dict[str, Any] = {
             "status": {"state": "idle"},
@@ -172,9 +174,10 @@ class FakeKeys:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.daemon = own_pair(folder)
-        self.operator, self.observer = self.make("olga", Role.OPERATOR), self.make("otto", Role.OBSERVER)
-        self.access = KeyAccess(folder)
+        self.daemon: KeyPair = own_pair(folder)
+        self.operator: KeyPair = self.make("olga", Role.OPERATOR)
+        self.observer: KeyPair = self.make("otto", Role.OBSERVER)
+        self.access: KeyAccess = KeyAccess(folder)
 
     def make(self, name: str, role: Role) -> KeyPair:
         """A new client's pair, listed."""
