@@ -29,6 +29,7 @@ COMMANDS = {
     "measure": ("labdaemon.cli.measure:measure", "Motion in pixels from a sharp and blurred frames."),
     "process": ("labdaemon.cli.process:process", "Envelopes in millimetres from a data-set folder."),
     "report": ("labdaemon.cli.report:report", "A page about a data-set folder's results."),
+    "compare": ("labdaemon.cli.compare:compare", "What changed between two campaigns, and where."),
     "calibrate": ("labdaemon.cli.calibrate:calibrate", "Calibrate a camera, the shaker or a shutter."),
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
     "bridge": ("labdaemon.cli.bridge:bridge", "Pass a daemon's events on to MQTT or bluesky."),

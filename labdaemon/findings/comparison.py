@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 
 from labdaemon.findings.common_scale import CommonChange, CommonFit, fit_common
-from labdaemon.findings.locate import Explanation, ShearModel, explanations, inseparable, matched_rows, shear_model
+from labdaemon.findings.locate import (
+    Explanation,
+    ShearModel,
+    explained_share,
+    explanations,
+    inseparable,
+    matched_rows,
+    shear_model,
+)
 from labdaemon.findings.max_statistic import MaxTest, max_test
 from labdaemon.findings.modal_state import ModalState, align_signs, pair_modes
 from labdaemon.findings.mode_shape import ModeShape, comac_values, curvature_rows, mac, nodes
@@ -17,9 +25,12 @@ from labdaemon.findings.response import FloatArray
 SHAPE_FLOOR = 1e-3
 """Systematic part of a shape's component, of its largest, that two surveys and orientations leave: not in any sd."""
 
+LEAST_EXPLAINED = 0.7
+"""Share of the differences' χ² below which a single change is no good explanation."""
+
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Difference:
     """A difference that exceeds its share of the false-alarm rate.
 
     Attributes
@@ -94,7 +105,7 @@ class Comparison:
 
     changed: bool
     p_value: float
-    findings: tuple[Finding, ...]
+    findings: tuple[Difference, ...]
     explained_by: tuple[CommonChange, ...]
     modes: tuple[ModeChange, ...]
     storeys: tuple[Explanation, ...]
@@ -141,6 +152,8 @@ def compare_states(
     test = max_test(rows, common.rest, common.covariance, [label[0] for label in labels])
     found = explanations(model, common, difference) if model is not None else []
     storeys = inseparable(found) if test.is_changed and found else []
+    if storeys and explained_share(found, common) < LEAST_EXPLAINED:
+        notes.append("no change of one storey or level explains most of the differences; the best are named")
     return Comparison(
         test.is_changed,
         test.p_value,
@@ -194,7 +207,7 @@ def _test_rows(state: ModalState, common: CommonFit, model: ShearModel | None) -
     return np.concatenate(rows), labels
 
 
-def _findings(test: MaxTest, labels: list[Label], storeys: list[Explanation]) -> list[Finding]:
+def _findings(test: MaxTest, labels: list[Label], storeys: list[Explanation]) -> list[Difference]:
     if not test.is_changed:
         return []
     found = []
@@ -203,9 +216,9 @@ def _findings(test: MaxTest, labels: list[Label], storeys: list[Explanation]) ->
         text = f"{one.kind} of {one.where} changed by {100 * one.change:+.2f} ± {100 * one.sd:.2f} %"
         if len(storeys) > 1:
             text += f", or another of {len(storeys)} that cannot be told apart"
-        found.append(Finding(one.kind, one.where, z, text))
+        found.append(Difference(one.kind, one.where, z, text))
     single = [
-        Finding(what, where, float(z), f"{what} of {where} differs by {z:+.1f} of its standard deviations")
+        Difference(what, where, float(z), f"{what} of {where} differs by {z:+.1f} of its standard deviations")
         for (what, where), z, limit in zip(labels, test.z, test.critical, strict=True)
         if abs(z) > limit and what != "storey"
     ]

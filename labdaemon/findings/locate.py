@@ -32,7 +32,7 @@ class Explanation:
     kind
         ``stiffness`` of a storey or ``mass`` of a level.
     index
-        From 1, the lowest.
+        Its place in the model, from 1: storeys from the lowest up, then levels.
     where
         In words, with heights.
     change, sd
@@ -110,7 +110,16 @@ def shear_model(state: ModalState, level_mm: FloatArray | None, *, is_fixed: boo
             directions[:, start : start + size] += along.reshape(len(directions), -1)
     if not fits:
         return None
-    return ShearModel(heights, tuple(fits), directions, *_names(heights, storeys, is_fixed))
+    whole = np.zeros((1, directions.shape[1]))
+    whole[0, : state.modes] = 0.5
+    kinds, places = _names(heights, storeys, is_fixed)
+    return ShearModel(
+        heights,
+        tuple(fits),
+        np.vstack([directions, whole]),
+        (*kinds, "stiffness"),
+        (*places, "all storeys (or less mass everywhere)"),
+    )
 
 
 def _names(heights: FloatArray, storeys: int, is_fixed: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -161,16 +170,24 @@ def _observation(
 def explanations(model: ShearModel, common: CommonFit, difference: FloatArray) -> list[Explanation]:
     """All single changes, the best first."""
     weight = common.weight
+    inner = inverse(common.columns.T @ weight @ common.columns)
+    before = float(common.rest @ weight @ common.rest)
     found = []
-    for kind, place, direction in zip(model.kinds, model.places, model.directions, strict=True):
-        columns = np.column_stack([common.columns, direction])
-        inner = inverse(columns.T @ weight @ columns)
-        value = inner @ (columns.T @ (weight @ difference))
-        rest = difference - columns @ value
-        index = int(place.split()[1])
-        sd = float(np.sqrt(max(inner[-1, -1], 0.0)))
-        found.append(Explanation(kind, index, place, float(value[-1]), sd, float(rest @ weight @ rest)))
+    for number, (kind, place, direction) in enumerate(zip(model.kinds, model.places, model.directions, strict=True)):
+        alone = direction - common.columns @ (inner @ (common.columns.T @ (weight @ direction)))
+        information = float(alone @ weight @ alone)
+        if information <= 1e-9 * float(direction @ weight @ direction):
+            continue  # a common change is no change of its own
+        change = float(alone @ weight @ difference) / information
+        chi2 = before - change**2 * information
+        found.append(Explanation(kind, number + 1, place, change, information**-0.5, chi2))
     return sorted(found, key=lambda one: one.chi2)
+
+
+def explained_share(found: list[Explanation], common: CommonFit) -> float:
+    """Part of what the common changes leave that the best single explanation explains."""
+    before = float(common.rest @ common.weight @ common.rest)
+    return 1.0 - found[0].chi2 / before if before > 0 else 0.0
 
 
 def inseparable(found: list[Explanation]) -> list[Explanation]:

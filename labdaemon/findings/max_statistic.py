@@ -52,6 +52,8 @@ def max_test(rows: FloatArray, values: FloatArray, covariance: FloatArray, group
     groups
         (n,) name of each function's group.
     """
+    if not len(rows):
+        return MaxTest(1.0, np.zeros(0), np.zeros(0))
     scale, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(scale, 0.0))
     spread = rows @ root
@@ -72,7 +74,7 @@ def max_test(rows: FloatArray, values: FloatArray, covariance: FloatArray, group
     own_p = np.array([_tail(top, np.array([one]))[0] for top, one in zip(tops, observed, strict=True)])
     p_value = float((1 + np.sum(draw_p <= own_p.min())) / (1 + DRAWS))
     # Far beyond all draws the tail of one normal number, times their count, is the smaller bound.
-    p_value = min(p_value, float(len(z) * 2 * stats.norm.sf(np.abs(z).max(initial=0.0))) if len(z) else 1.0)
+    p_value = min(p_value, float(len(z) * 2 * stats.norm.sf(np.abs(z).max())))
     limit_p = float(np.quantile(draw_p, LEVEL))
     limits = {name: float(np.quantile(top, 1 - limit_p)) for name, top in zip(names, tops, strict=True)}
     return MaxTest(min(p_value, 1.0), z, np.array([limits[name] for name in groups]))

@@ -1,0 +1,203 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from labdaemon.bench.campaign_folder import write_campaign
+from labdaemon.bench.shear_structure import Instrument, ShearStructure
+from labdaemon.cli.main import cli
+from labdaemon.errors import ConfigError, DataError, LabdaemonError, UsageError
+from labdaemon.findings import PhaseReference
+
+STRUCTURE = ShearStructure(per_column=4)
+NAMES = tuple(f"{side}{i + 1:02d}" for side in "LR" for i in range(4))
+SWEEP = np.sort(
+    np.concatenate(
+        [f * (1 + 0.01 * np.array([-2, -1, -0.4, 0.4, 1, 2])) for f in STRUCTURE.modes()[0][:3]]
+        + [np.array([3.5, 9.0, 20.0, 27.0])]
+    )
+)
+DWELLS = np.array([5.0, 8.0, 12.0])
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Callable[..., Path]:
+    def make(
+        name: str,
+        structure: ShearStructure = STRUCTURE,
+        frequency: np.ndarray = SWEEP,
+        seed: int = 1,
+        phase: PhaseReference = PhaseReference.TARGET,
+        names: tuple[str, ...] = NAMES,
+        **how: Any,
+    ) -> Path:
+        series = Instrument(phase=phase).measure(structure, frequency, np.random.default_rng(seed))
+        return write_campaign(tmp_path / name, replace(series, targets=names), structure.positions_mm(), **how)
+
+    return make
+
+
+def compare(*arguments: object) -> dict[str, Any]:
+    result = CliRunner().invoke(cli, ["compare", *map(str, arguments), "--json"], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    content: dict[str, Any] = json.loads(result.stdout)
+    return content
+
+
+def refused(*arguments: object) -> LabdaemonError:
+    result = CliRunner().invoke(cli, ["compare", *map(str, arguments), "--json"])
+    assert isinstance(result.exception, LabdaemonError), result.output
+    assert result.exception.exit_status == 2
+    return result.exception
+
+
+def test_unchanged(campaign: Callable[..., Path]) -> None:
+    found = compare(campaign("a"), campaign("b", seed=2))
+    assert found["changed"] is False
+    assert 0.05 <= found["p_value"] <= 1
+    assert found["findings"] == []
+    assert isinstance(found["explained_by"], list)
+    assert len(found["modes"]) == 3
+
+
+def test_loss_in_one_storey(campaign: Callable[..., Path]) -> None:
+    other = campaign("b", STRUCTURE.with_stiffness(2, 0.98), seed=2)
+    found = compare(campaign("a"), other, "--levels-mm", "190,380,570,760")
+    assert found["changed"] is True
+    assert found["findings"][0]["where"].startswith("storey 3")
+    assert found["findings"][0]["z"] < -5
+    assert found["shear_frame"][0]["sd_stiffness"]
+
+
+def test_text_says_the_same(campaign: Callable[..., Path]) -> None:
+    other = campaign("b", STRUCTURE.with_stiffness(2, 0.98).scaled(stiffness=0.99), seed=2)
+    command = ["compare", str(campaign("a")), str(other), "--levels-mm", "190,380,570,760"]
+    result = CliRunner().invoke(cli, command, catch_exceptions=False)
+    assert result.exit_code == 0
+    assert result.output.startswith("changed (p = ")
+    assert "stiffness of storey 3" in result.output
+    assert "explained: all natural frequencies changed by -0." in result.output
+
+
+def test_temperature_is_explained(campaign: Callable[..., Path]) -> None:
+    first, other = campaign("a"), campaign("b", STRUCTURE.scaled(stiffness=0.99), seed=2)
+    found = compare(first, other)
+    assert found["changed"] is False
+    assert "uniform_stiffness_or_mass" in [one["what"] for one in found["explained_by"]]
+    assert compare(first, other, "--same-scale")["changed"] is True
+
+
+def test_moved_cameras_are_explained(campaign: Callable[..., Path]) -> None:
+    angle = np.radians(3.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    found = compare(campaign("a"), campaign("b", seed=2, rotation=turn))
+    assert found["changed"] is False
+    assert found["explained_by"][0]["what"] == "moved"
+    assert "3.00 degrees" in found["explained_by"][0]["text"]
+
+
+def test_signed_campaigns(campaign: Callable[..., Path]) -> None:
+    first = campaign("a", phase=PhaseReference.TABLE)
+    found = compare(first, campaign("b", seed=2, phase=PhaseReference.TABLE))
+    assert found["changed"] is False
+    assert len(found["modes"]) == 3
+
+
+def test_few_frequencies_compare_the_envelopes(campaign: Callable[..., Path]) -> None:
+    first = campaign("a", frequency=DWELLS)
+    same = compare(first, campaign("b", frequency=DWELLS, seed=2))
+    assert same["compared"] == "deflections"
+    assert same["changed"] is False
+    assert "too few steps for modes" in same["notes"][0]
+    other = compare(first, campaign("c", STRUCTURE.with_stiffness(2, 0.6), frequency=DWELLS, seed=2))
+    assert other["changed"] is True
+    assert other["findings"][0]["what"] == "envelope"
+
+
+def test_missing_frequencies_are_left_out(campaign: Callable[..., Path]) -> None:
+    first = campaign("a", frequency=DWELLS)
+    found = compare(first, campaign("b", frequency=np.array([5.0, 9.0, 12.0]), seed=2))
+    assert "at 2 common frequencies" in found["notes"][0]
+    assert "no frequency in common" in str(refused(first, campaign("c", frequency=np.array([6.0, 7.0]), seed=3)))
+
+
+def test_different_targets(campaign: Callable[..., Path]) -> None:
+    names = ("X01", *NAMES[1:])
+    found = compare(campaign("a", frequency=DWELLS), campaign("b", frequency=DWELLS, seed=2, names=names))
+    assert found["changed"] is False
+    assert "only a has the targets L01" in found["notes"][0]
+    error = refused(campaign("c"), campaign("d", names=tuple(f"Q{i}" for i in range(8))))
+    assert "has no target of" in str(error)
+
+
+def test_one_camera_against_two(campaign: Callable[..., Path]) -> None:
+    found = compare(campaign("a", frequency=DWELLS), campaign("b", frequency=DWELLS, seed=2, directions="xz"))
+    assert found["changed"] is False
+    assert any("only the directions x, z are compared" in note for note in found["notes"])
+
+
+def test_moved_targets_are_said(campaign: Callable[..., Path], tmp_path: Path) -> None:
+    series = Instrument().measure(STRUCTURE, DWELLS, np.random.default_rng(2))
+    positions = STRUCTURE.positions_mm()
+    positions[3, 2] += 60.0
+    other = write_campaign(tmp_path / "b", replace(series, targets=NAMES), positions)
+    assert any("targets were moved" in note for note in compare(campaign("a", frequency=DWELLS), other)["notes"])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda folder: (folder / "results" / "envelope.csv").unlink(), "no envelope.csv"),
+        (lambda folder: (folder / "results" / "envelope.csv").write_text("capture,target\n"), "is empty"),
+        (lambda folder: (folder / "results" / "envelope.csv").write_bytes(b"\xff\xfe\x00"), "no table of envelopes"),
+        (lambda folder: (folder / "results" / "envelope.csv").write_text("a,b\n1,2\n"), "no table of envelopes"),
+        (lambda folder: [path.unlink() for path in folder.glob("captures/*/capture.toml")], "frequency_hz"),
+    ],
+)
+def test_unusable_folders(campaign: Callable[..., Path], spoil: Callable[[Path], Any], text: str) -> None:
+    first, second = campaign("a"), campaign("b", seed=2)
+    spoil(second)
+    error = refused(first, second)
+    assert isinstance(error, DataError)
+    assert text in str(error)
+
+
+def test_a_wrong_capture_file_is_named(campaign: Callable[..., Path]) -> None:
+    second = campaign("b", seed=2)
+    (second / "captures" / "0003" / "capture.toml").write_text('frequency_hz = "five"')
+    error = refused(campaign("a"), second)
+    assert isinstance(error, ConfigError)
+    assert "0003/capture.toml: frequency_hz" in str(error)
+
+
+def test_captures_without_a_frequency_are_counted(campaign: Callable[..., Path]) -> None:
+    second = campaign("b", frequency=DWELLS, seed=2)
+    (second / "captures" / "0000" / "capture.toml").write_text("exposure_s = 1.0\n")
+    notes = compare(campaign("a", frequency=DWELLS), second)["notes"]
+    assert any("1 of 3 captures state no frequency" in note for note in notes)
+
+
+def test_an_unknown_table_amplitude_is_said(campaign: Callable[..., Path]) -> None:
+    second = campaign("b", frequency=DWELLS, seed=2)
+    for path in second.glob("captures/*/capture.toml"):
+        path.write_text(path.read_text().split("excitation")[0])
+    found = compare(campaign("a", frequency=DWELLS), second)
+    assert any("do not state the table's amplitude" in note for note in found["notes"])
+
+
+def test_a_missing_folder(campaign: Callable[..., Path], tmp_path: Path) -> None:
+    assert "nowhere" in str(refused(campaign("a"), tmp_path / "nowhere"))
+
+
+@pytest.mark.parametrize("levels", ["", "190", "a,b", "380,190", "-1,5", "1,nan"])
+def test_wrong_levels(campaign: Callable[..., Path], levels: str) -> None:
+    error = refused(campaign("a"), campaign("b"), "--levels-mm", levels)
+    assert isinstance(error, UsageError)
+    assert "ascending heights" in str(error)
