@@ -12,6 +12,7 @@ doi:10.1016/0022-460X(91)90595-B.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class ModeShape:
 
     def unit_scaled(self) -> ModeShape:
         """The shape divided by its largest component; the covariance follows as if that component were exact."""
-        largest = self.values[np.argmax(np.abs(self.values))]
+        largest = float(self.values[np.argmax(np.abs(self.values))])
         return ModeShape(self.values / largest, self.covariance / largest**2, self.positions_mm, self.is_complex)
 
     def along_rows(self, targets: NDArray[np.intp], direction: FloatArray) -> FloatArray:
@@ -176,6 +177,12 @@ def nodes(shape: ModeShape) -> list[ShapePoint]:
     return found
 
 
+def _vertex(height_mm: FloatArray, item: int, values: FloatArray) -> float:
+    """Height (item 0) or value (item 1) of the vertex of the parabola through three points."""
+    c2, c1, c0 = np.polyfit(height_mm - height_mm[1], values, 2)
+    return float(height_mm[1] - c1 / (2 * c2)) if item == 0 else float(c0 - c1**2 / (4 * c2))
+
+
 def antinodes(shape: ModeShape) -> list[ShapePoint]:
     """Where the displacement along the mode's direction is largest between targets, by a parabola through three."""
     found = []
@@ -188,14 +195,10 @@ def antinodes(shape: ModeShape) -> list[ShapePoint]:
             if not (abs(values[k]) > abs(values[k - 1]) and abs(values[k]) > abs(values[k + 1])):
                 continue
             part = slice(k - 1, k + 2)
-            at = height[part]
-
-            def vertex(v: FloatArray, at: FloatArray = at) -> tuple[float, float]:
-                c2, c1, c0 = np.polyfit(at - at[1], v, 2)
-                return float(at[1] - c1 / (2 * c2)), float(c0 - c1**2 / (4 * c2))
-
-            place = propagate(lambda v, vertex=vertex: vertex(v)[0], values[part], covariance[part, part])
-            value = propagate(lambda v, vertex=vertex: vertex(v)[1], values[part], covariance[part, part])
+            ends = [
+                propagate(partial(_vertex, height[part], item), values[part], covariance[part, part]) for item in (0, 1)
+            ]
+            place, value = ends
             found.append(ShapePoint(number, place.value, place.sd, value.value, value.sd))
     return found
 

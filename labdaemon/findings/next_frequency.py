@@ -1,4 +1,4 @@
-"""Where the next step of a closed-loop sweep tells most, and when a step is settled.
+"""Where the next step of a closed-loop sweep gives most information, and when a step is settled.
 
 The next frequency is the one that most increases the determinant of the information on all poles, with residues and
 table amplitudes eliminated (D_s-optimality: Atkinson, Donev and Tobias 2007, Optimum Experimental Designs, chapter 10;
@@ -58,7 +58,7 @@ def next_frequency(
     table_mm: float | FloatArray,
     wanted: tuple[float, float] | None = None,
 ) -> NextStep | None:
-    """The candidate that tells most about the poles.
+    """The candidate that gives most information about the poles.
 
     Parameters
     ----------

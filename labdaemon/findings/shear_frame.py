@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from labdaemon.findings.response import FloatArray
 
 MASS_PRIOR_SD = 0.3
-"""Of the logarithm of a level's mass against the mean: levels of a frame are alike within a third."""
+"""Of the logarithm of a level's mass against the mean: levels of a frame are equal within a third."""
 STIFFNESS_PRIOR_SD = 1.0
 MODEL_SHAPE_SD = 0.03
 """Of a shape's component against the model, in units of the largest: columns also bend and stretch."""

@@ -162,7 +162,7 @@ def whitened(window: ResponseSeries, candidate: PoleCandidate) -> ResponseSeries
     shrink = min(1.0, channels / (steps - columns.shape[1]))
     covariance = (1 - shrink) * covariance + shrink * np.diag(np.diag(covariance).real)
     covariance += 1e-9 * np.trace(covariance).real / channels * np.eye(channels)
-    mixed = np.linalg.solve(np.linalg.cholesky(covariance), spectra.T).T
+    mixed: ComplexArray = np.linalg.solve(np.linalg.cholesky(covariance), spectra.T).T.astype(np.complex128)
     return frequency_response(window.frequency_hz, mixed)
 
 
