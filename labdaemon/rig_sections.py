@@ -150,10 +150,14 @@ class TriggerSection(DriverSection):
 class GaugeSection(DriverSection):
     """A displacement or acceleration sensor."""
 
+    ours: ClassVar[frozenset[str]] = frozenset({"stands_for"})
+
     name: Name
     role: Literal["table", "response"]
     unit: Literal["mm", "m/s2"] = "mm"
     port: Written
+    stands_for: Written | Annotated[tuple[Written, ...], Field(min_length=1)] | None = None
+    """Targets that move with it, so that its harmonics are theirs: names or patterns as ``"L*"``; ``"all"`` for all."""
 
 
 class CameraSection(DriverSection):

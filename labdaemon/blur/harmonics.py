@@ -63,9 +63,9 @@ class MotionHarmonics:
 
     @property
     def has_even(self) -> bool:
-        """Whether an even harmonic exceeds its standard deviation: the motion is then no mirror image of itself."""
+        """Whether an even harmonic exceeds three standard deviations: the motion is then no mirror image of itself."""
         even = zip(self.cosine[::2], self.sine[::2], self.sd[::2], strict=True)
-        return any(math.hypot(c, s) > sd and (c or s) for c, s, sd in even)
+        return any(math.hypot(c, s) > 3.0 * sd and (c or s) for c, s, sd in even)
 
     @property
     def bandwidth(self) -> float:

@@ -12,7 +12,7 @@ import click
 from labdaemon.errors import UsageError
 
 ELSEWHERE = {
-    name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock", "textures")
+    name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock", "textures", "harmonics")
 } | {"world": "labdaemon.bench.world.command:command"}
 """Subcommands defined in the benches' own modules; imported only when called."""
 

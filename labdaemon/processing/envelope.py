@@ -21,6 +21,7 @@ from labdaemon.geometry import (
 )
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
+from labdaemon.processing.motion_laws import motion_laws
 from labdaemon.processing.sharpset import SharpSet
 from labdaemon.processing.tables import Row, envelope_row, measurement_row
 
@@ -71,6 +72,7 @@ def measure_in_folder(folder: DataFolder, sharp: SharpSet, captures: Sequence[st
         [one.about.window(camera) for one in files],
         control=sharp.control,
         method=sharp.method,
+        laws=motion_laws(folder.rig.stands_for, [one.about.gauges for one in files]),
     )
 
 

@@ -29,6 +29,7 @@ from labdaemon.imaging import LazyImage, RawFrame, read_frame
 from labdaemon.processing.group import holds_phase, is_part_cycle
 from labdaemon.processing.matched_filter import BlurredTarget
 from labdaemon.processing.missing_targets import predict_missing
+from labdaemon.processing.motion_laws import MotionLaws
 from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.shift import FrameShift, frame_shift
 from labdaemon.processing.survey import SurveyedPoint
@@ -99,6 +100,7 @@ def measure_frames(
     *,
     control: Sequence[SurveyedPoint] = (),
     method: str = "fit",
+    laws: MotionLaws | None = None,
 ) -> FrameResult:
     """Measure every target of one camera in a capture, or in the captures of a group together.
 
@@ -114,6 +116,8 @@ def measure_frames(
         The survey, which resolves the camera's own motion in space.
     method
         "fit", or "paper" for the published method.
+    laws
+        Harmonics of the targets' motion, as gauges show them.
 
     Raises
     ------
@@ -121,7 +125,7 @@ def measure_frames(
         A frame cannot be read, has another size, or cannot be from this camera.
     """
     frames = [read_frame(file, expect_size=camera.image_size) for file in files]
-    return measure_raw(camera, frames, windows, control=control, method=method)
+    return measure_raw(camera, frames, windows, control=control, method=method, laws=laws)
 
 
 def measure_raw(
@@ -131,8 +135,10 @@ def measure_raw(
     *,
     control: Sequence[SurveyedPoint] = (),
     method: str = "fit",
+    laws: MotionLaws | None = None,
 ) -> FrameResult:
     """Measure frames that are already read; otherwise as `measure_frames`."""
+    laws = laws or MotionLaws()
     greys = [frame.lazy_grey() for frame in frames]
     shifts = [frame_shift(frame, grey, camera.control) for frame, grey in zip(frames, greys, strict=True)]
     # First of all: a frame of another camera would only be searched in vain.
@@ -142,10 +148,11 @@ def measure_raw(
     if method == "paper":
         found = _measure_mccarthy2016(camera, located_frames)
     elif len(frames) == 1 and not (windows[0] is not None and windows[0].is_coded):
-        found = _measure_one(camera, located_frames[0], windows[0])
+        found = _measure_one(camera, located_frames[0], windows[0], laws)
         evidence = _evidence(camera, located_frames[0], windows[0], found)
     else:
-        found = _measure_together(camera, located_frames, windows)
+        found = _measure_together(camera, located_frames, windows, laws)
+    found = [laws.with_unknown(one) for one in found]
     found = [_with_white(one, camera.targets[index], located_frames, index) for index, one in enumerate(found)]
     if any(_has_moved(located.shift) for located in located_frames) or any(
         motion is not None and motion.moved for motion in motions
@@ -235,7 +242,9 @@ def _with_white(
     return one
 
 
-def _measure_one(camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None) -> list[Measurement]:
+def _measure_one(
+    camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
+) -> list[Measurement]:
     # Axes do not depend on the opening phase: where it is unknown, any will do.
     unknown = window is not None and window.phase_rad is None and is_part_cycle(window)
     if unknown and window is not None:
@@ -243,7 +252,14 @@ def _measure_one(camera: PreparedCamera, located: _LocatedTargets, window: Expos
 
     def measured(smears: list[BlurredTarget | None]) -> dict[int, Measurement]:
         found, targets, cuts, starts = _fit_inputs(camera, replace(located, smears=smears))
-        each = measure_frame(targets, cuts, window=window, defocus=located.shift.defocus, initial_guesses=starts)
+        each = measure_frame(
+            targets,
+            cuts,
+            window=window,
+            defocus=located.shift.defocus,
+            initial_guesses=starts,
+            harmonics=[laws.of(target.name) for target in targets],
+        )
         return dict(zip(found, each, strict=True))
 
     result = [
@@ -300,18 +316,29 @@ def _evidence(
 
 
 def _measure_together(
-    camera: PreparedCamera, located_frames: Sequence[_LocatedTargets], windows: Sequence[ExposureWindow | None]
+    camera: PreparedCamera,
+    located_frames: Sequence[_LocatedTargets],
+    windows: Sequence[ExposureWindow | None],
+    laws: MotionLaws,
 ) -> list[Measurement]:
     """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean."""
     phased = [window for window in windows if window is not None and holds_phase(window)]
     if len(phased) == len(windows):
-        return [_measure_phased(target, located_frames, phased, index) for index, target in enumerate(camera.targets)]
-    each = [_measure_one(camera, located, window) for located, window in zip(located_frames, windows, strict=True)]
+        return [
+            _measure_phased(target, located_frames, phased, index, laws) for index, target in enumerate(camera.targets)
+        ]
+    each = [
+        _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
+    ]
     return [average_measurements(measured) for measured in zip(*each, strict=True)]
 
 
 def _measure_phased(
-    target: SharpTarget, located_frames: Sequence[_LocatedTargets], windows: Sequence[ExposureWindow], index: int
+    target: SharpTarget,
+    located_frames: Sequence[_LocatedTargets],
+    windows: Sequence[ExposureWindow],
+    index: int,
+    laws: MotionLaws,
 ) -> Measurement:
     cuts, starts, blurs, seen = [], [], [], []
     for located, window in zip(located_frames, windows, strict=True):
@@ -325,7 +352,12 @@ def _measure_phased(
         return not_found(target)
     known = [blur for blur in blurs if blur is not None]
     return measure_group(
-        target, cuts, seen, defocus=known if len(known) == len(blurs) else None, initial_guesses=starts
+        target,
+        cuts,
+        seen,
+        defocus=known if len(known) == len(blurs) else None,
+        initial_guesses=starts,
+        harmonics=laws.of(target.name),
     )
 
 

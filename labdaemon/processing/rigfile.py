@@ -72,6 +72,19 @@ class ProcessingSettings(_SettingsTable):
     method: Literal["fit", "paper"] = "fit"
 
 
+class GaugeSettings(_SettingsTable):
+    """A gauge, as far as measuring asks."""
+
+    name: str = ""
+    stands_for: str | tuple[str, ...] | None = None
+
+    @property
+    def target_patterns(self) -> tuple[str, ...]:
+        """`stands_for` as patterns; empty for a gauge that stands for no target."""
+        patterns = (self.stands_for,) if isinstance(self.stands_for, str) else self.stands_for or ()
+        return tuple("*" if pattern == "all" else pattern for pattern in patterns)
+
+
 class RigFile(_SettingsTable):
     """The parts of a rig file that processing reads."""
 
@@ -79,6 +92,12 @@ class RigFile(_SettingsTable):
     targets: TargetSettings
     control: ControlSettings
     processing: ProcessingSettings = ProcessingSettings()
+    gauges: tuple[GaugeSettings, ...] = Field(default=(), alias="gauge")
+
+    @property
+    def stands_for(self) -> dict[str, tuple[str, ...]]:
+        """Patterns of the targets that each gauge stands for, by its name."""
+        return {one.name: one.target_patterns for one in self.gauges if one.target_patterns}
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -251,3 +251,35 @@ def test_one_part_cycle_capture_gives_signs(tmp_path: Path, pool: WorkerPool, ca
     assert stated >= 9
     with (result.out / "measurements.csv").open(newline="") as file:
         assert {row["sign"] for row in csv.DictReader(file)} >= {"1", "-1"}
+
+
+def test_a_gauge_that_stands_for_targets_changes_their_amplitudes_and_one_that_does_not_their_sd(
+    planar: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "harmonics"
+    shutil.copytree(planar, folder, ignore=shutil.ignore_patterns("results"))
+    sharp = prepare_sharp(folder)
+    [first, *_] = open_folder(folder).capture_names()
+    about = folder / "captures" / first / "capture.toml"
+    known = about.read_text() if about.exists() else ""
+    rig = (folder / "rig.toml").read_text()
+    gauge = "[gauges.response]\namplitude_mm = 2.0\nsd_amplitude_mm = 1e-4\nh2_mm = 0.0\nsd_h2_mm = 1e-4\n"
+    gauge += "h3_mm = 0.1\nsd_h3_mm = 1e-4\nh3_phase_rad = 0.0\nsd_h3_phase_rad = 1e-3\n"
+    found = {}
+    for case, stands_for in (("sine", ""), ("unknown", ""), ("known", 'stands_for = "all"\n')):
+        about.write_text(known + ("" if case == "sine" else gauge))
+        section = f'[[gauge]]\nname = "response"\ndriver = "line"\nrole = "response"\nport = "x"\n{stands_for}'
+        (folder / "rig.toml").write_text(rig + section)
+        rows = measure_capture(folder, sharp, (first,), first).measurement_rows
+        if case == "sine":
+            moved = [r["target"] for r in rows if not r["flags"] and 2 < np.hypot(*vector(r, "ax_px", "ay_px")) < 6][:4]
+        found[case] = np.array(
+            [vector(r, "ax_px", "ay_px", "sd_ax_px", "sd_ay_px") for r in rows if r["target"] in moved]
+        )
+    size = np.linalg.norm(found["sine"][:, :2], axis=1)
+    sd = {case: np.linalg.norm(rows[:, 2:], axis=1) for case, rows in found.items()}
+    np.testing.assert_allclose(found["unknown"][:, :2], found["sine"][:, :2], atol=1e-6)
+    np.testing.assert_allclose(sd["unknown"], np.hypot(sd["sine"], 0.35 * 0.05 * size), rtol=0.01)
+    change = np.linalg.norm(found["known"][:, :2], axis=1) / size - 1
+    assert np.all((np.abs(change) > 5e-4) & (np.abs(change) < 0.03))
+    np.testing.assert_array_less(sd["known"], sd["unknown"])

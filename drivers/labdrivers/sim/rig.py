@@ -249,9 +249,12 @@ class RigModel:
         if frequency_hz is not None and phase_rad is not None:
             angle = phase_rad + 2.0 * np.pi * frequency_hz * (times - opened_s)
             columns += [np.sin(angle), np.cos(angle)]
+            # Over part cycles harmonics would leak into the fundamental.
+            for order, _, _ in self.spec.table.harmonics:
+                columns += [np.sin(order * angle), np.cos(order * angle)]
         solution = np.linalg.lstsq(np.stack(columns, axis=1), moved.transpose(1, 0, 2).reshape(times.size, -1))[0]
         fitted = np.zeros((3, points.shape[0], 3))
-        fitted[: len(columns)] = solution.reshape(len(columns), points.shape[0], 3)
+        fitted[: len(columns)] = solution.reshape(len(columns), points.shape[0], 3)[:3]
         keys = ("x_mm", "y_mm", "z_mm", "ax_mm", "ay_mm", "az_mm", "bx_mm", "by_mm", "bz_mm")
         rows = np.concatenate([points + moved.mean(axis=1), fitted[1], fitted[2]], axis=1)
         return {

@@ -34,6 +34,9 @@ class TableSpec:
         Largest values of a sine; beyond any limit the amplifier trips and the table comes to rest.
     frequency_hz
         Usable range.
+    harmonics
+        Order, amplitude over the fundamental's, and phase δ (rad) of each harmonic of the table's motion: with θ the
+        fundamental's phase it adds ``ratio · sin(order · θ + δ)``. The structure answers each at its own frequency.
     """
 
     gain_mm_per_v: float = 4.2
@@ -43,6 +46,7 @@ class TableSpec:
     velocity_mm_s: float = 1000.0
     acceleration_mm_s2: float = 20000.0
     frequency_hz: tuple[float, float] = (0.5, 50.0)
+    harmonics: tuple[tuple[int, float, float], ...] = ()
 
     def response(self, frequency_hz: float) -> complex:
         """Complex displacement per volt at a frequency, mm/V."""
@@ -158,10 +162,15 @@ class ExcitationHistory:
                 fading[faded] = fading.get(faded, 0j) + now
             q, dq = modal_response(self.modes, last.state, np.array([elapsed]))
             displacement, velocity = q[:, 0].tolist(), dq[:, 0].tolist()
-        new_faded = new_pole - 1.0 / spec.fade_s
-        fading[new_faded] = fading.get(new_faded, 0j) - steady
+        lasting = [(new_pole, steady)]
+        for order, ratio, delta in spec.harmonics:
+            angle = order * (phase_rad + np.angle(response)) + delta
+            lasting.append((order * new_pole, -1j * ratio * abs(response) * np.exp(1j * angle)))
+        for pole, value in lasting:
+            faded = pole - 1.0 / spec.fade_s
+            fading[faded] = fading.get(faded, 0j) - value
         terms = [(pole, value) for pole, value in fading.items() if abs(value) > NEGLIGIBLE_MM]
-        terms.append((new_pole, steady))
+        terms += lasting
         # A step of the table's velocity is an impulse to every mode.
         step = sum((value * pole).real for pole, value in terms) - rate_before
         state = FreeVibration(
