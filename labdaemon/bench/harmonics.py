@@ -12,7 +12,17 @@ import click
 import numpy as np
 
 from labdaemon.bench.simulator import Renderer, renderer
-from labdaemon.blur import Defocus, Dot, FloatArray, MotionHarmonics, NoiseModel, Patch, SharpTarget, fit_sharp, measure
+from labdaemon.blur import (
+    Defocus,
+    Dot,
+    FloatArray,
+    MotionHarmonics,
+    NoiseModel,
+    Patch,
+    SharpTarget,
+    fit_sharp,
+    measure_frame,
+)
 from labdaemon.periodic_fit import fit_periodic
 
 PX_PER_MM = 24.0 / 6.1
@@ -57,12 +67,11 @@ def run_harmonics(
 
         def motion(t: FloatArray, delta: float = delta) -> FloatArray:
             theta = 2.0 * np.pi * FREQUENCY_HZ * t
-            values: FloatArray = amplitude_mm * (np.sin(theta) + third * np.sin(3.0 * theta + delta))
-            return values[:, None] * DIRECTION
+            values = amplitude_mm * (np.sin(theta) + third * np.sin(3.0 * theta + delta))
+            return np.asarray(values[:, None] * DIRECTION, np.float64)
 
         patch = _photograph(render, rng if noise else None, amplitude_mm, motion)
-        still = Defocus(0.0, 0.01)
-        found = [measure(sharp, patch, defocus=still, harmonics=one) for one in (None, harmonics)]
+        found = measure_frame([sharp] * 2, [patch] * 2, defocus=Defocus(0.0, 0.01), harmonics=[None, harmonics])
         sizes = [one.amplitude_px / (amplitude_mm * PX_PER_MM) - 1.0 for one in found]
         without.append(sizes[0])
         with_gauge.append(sizes[1])
@@ -113,7 +122,8 @@ def _photograph(render: Renderer, rng: np.random.Generator | None, amplitude_mm:
     if rng is not None:
         image = image + rng.normal(size=image.shape) * np.sqrt(NOISE.variance(image))
     row, column = np.indices(image.shape)
-    return Patch(image, (2 * (row % 2) + column % 2).astype(np.uint8), np.ones(image.shape, bool), (0, 0))
+    channel = np.asarray(2 * (row % 2) + column % 2, np.uint8)
+    return Patch(image, channel, np.ones(image.shape, bool), (0, 0))
 
 
 @click.command("harmonics")
