@@ -163,12 +163,14 @@ class GaugeSection(DriverSection):
 class CameraSection(DriverSection):
     """A camera body and its lens (OpenCV's model; `labdaemon calibrate camera` fills it in)."""
 
-    ours: ClassVar[frozenset[str]] = frozenset({"exposure_steps_s"})
+    ours: ClassVar[frozenset[str]] = frozenset({"exposure_steps_s", "distance_mm"})
 
     serial: str
     exposure_s: Annotated[float, Field(gt=0, le=900, strict=True)] | None = None
     f_number: Annotated[float, Field(ge=0.7, le=128, strict=True)] | None = None
     iso: Annotated[int, Field(ge=25, le=409600, strict=True)] | None = None
+    distance_mm: Annotated[float, Field(ge=50, le=1e6, strict=True)] | None = None
+    """From the lens to the structure, to predict how large things are in the images; by default they fill the frame."""
     exposure_steps_s: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Exposure times to plan with when the body is not at hand; by default the usual thirds of a stop."""
     image_size: tuple[Pixels, Pixels] | None = None
@@ -183,6 +185,23 @@ class CameraSection(DriverSection):
         if self.focal_px is not None and missing:
             raise ValueError(f"focal_px is given, but {' and '.join(missing)} is not")
         return self
+
+
+class LampSection(TomlSection):
+    """The lamp that lights the structure; its brightness can follow the excitation (a light code)."""
+
+    output: Literal["trigger"] = "trigger"
+    """What plays the code: the lamp output of the device in ``[trigger]``."""
+    rise_s: Annotated[float, Field(ge=0, le=0.05, strict=True)] = 0.0
+    """Time from dark to full brightness and back."""
+    ambient: Annotated[float, Field(ge=0, le=20, strict=True)] = 0.0
+    """Light that is on whenever a shutter is open, in parts of the lamp's full brightness."""
+    levels: Annotated[int, Field(ge=2, le=256, strict=True)] = 2
+    """How many levels the lamp can show: 2 where it only switches, 256 with PWM of 8 bits."""
+    margin_s: Annotated[float, Field(ge=0, le=1, strict=True)] = 0.02
+    """Part of an exposure in which not all shutters are open: the bodies' lags differ and vary."""
+    mains_hz: Literal[50, 60] | None = None
+    """Frequency of the mains that the ambient light hangs on, if it flickers (at twice that)."""
 
 
 class TargetsSection(TomlSection):
@@ -255,6 +274,7 @@ class RigSections(TomlSection):
     service: ServiceSection = ServiceSection()
     shaker: ShakerSection | None = None
     trigger: TriggerSection = TriggerSection(driver="camera")
+    lamp: LampSection | None = None
     gauges: Annotated[tuple[GaugeSection, ...], Field(alias="gauge")] = ()
     cameras: Annotated[dict[Name, CameraSection], Field(min_length=1)]
     targets: TargetsSection

@@ -26,7 +26,7 @@ from pydantic import Field, field_validator, model_validator
 
 from labdaemon.campaign import steps
 from labdaemon.campaign.steps import OnFault
-from labdaemon.errors import ConfigError
+from labdaemon.errors import ConfigError, UsageError
 from labdaemon.tomlfile import TomlSection, parse_model, parse_toml, read_toml
 
 MAX_STEPS = 20_000
@@ -39,6 +39,9 @@ Seconds = Annotated[float, Field(gt=0, le=7 * 86400, strict=True)]
 Captures = Annotated[int, Field(ge=1, le=1000, strict=True)]
 Repeats = Annotated[int, Field(ge=1, le=10_000, strict=True)]
 Phase = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, strict=True)]
+CodeName = Annotated[str, Field(min_length=1, max_length=64)]
+Levels = Annotated[tuple[Annotated[float, Field(ge=0, le=1)], ...], Field(min_length=2, max_length=64)]
+Light = CodeName | Levels | Annotated[tuple[CodeName | Levels, ...], Field(min_length=1, max_length=16)]
 TimeOfDay = Annotated[str, Field(pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$")]
 
 
@@ -114,6 +117,12 @@ class ShakingPhase(PhaseSection):
     phase_rad: Annotated[tuple[Phase, ...], Field(min_length=1, max_length=16)] | None = None
     """Excitation phases at which to open, one capture at each, measured jointly."""
     settle: SettleSection = SettleSection()
+    light: Light | None = None
+    """Code of the lamp, by name, bits or brightnesses; a list of them is one capture for each, measured jointly."""
+    light_phase_rad: Phase = 0.0
+    """Excitation phase at which the code's first sector begins."""
+    expected_mm: Annotated[float, Field(gt=0, le=1000, strict=True)] | None = None
+    """Largest semi-amplitude that is expected on the structure, to predict with; the table's by default."""
     both_directions: bool = False
     """Take the frequencies up and then down again (a nonlinear structure answers differently)."""
 
@@ -126,6 +135,26 @@ class ShakingPhase(PhaseSection):
             if len(turns) > 1 and min(gaps) < 1e-3:
                 raise ValueError("two of the phases are the same")
         return phases
+
+    @field_validator("light")
+    @classmethod
+    def _codes_are_known(cls, light: Light | None) -> Light | None:
+        if light is not None:
+            codes(light)
+        return light
+
+    @model_validator(mode="after")
+    def _light_or_phases(self) -> ShakingPhase:
+        if self.light is not None and self.phase_rad is not None:
+            raise ValueError("light and phase_rad are given: under a light code the opening's phase does not matter")
+        if self.light is None and {"light_phase_rad", "expected_mm"} & self.model_fields_set:
+            raise ValueError("light_phase_rad and expected_mm belong to a light code, and light is not given")
+        return self
+
+    @property
+    def light_codes(self) -> tuple[tuple[float, ...], ...]:
+        """Brightness of each code of a group; empty under constant light."""
+        return codes(self.light) if self.light is not None else ()
 
 
 class StepsPhase(ShakingPhase):
@@ -273,3 +302,22 @@ def frequencies(given: float | tuple[float, ...] | Spacing) -> tuple[float, ...]
     if isinstance(given, Spacing):
         return given.values()
     return given if isinstance(given, tuple) else (given,)
+
+
+def codes(light: Light) -> tuple[tuple[float, ...], ...]:
+    """Brightness of each code that a phase names, one for each capture of a group.
+
+    Raises
+    ------
+    ValueError
+        One is no code.
+    """
+    # Loaded where a campaign has light: the daemon's start must not wait for what measuring needs.
+    from labdaemon.blur import named_code
+
+    is_list = isinstance(light, tuple) and not all(isinstance(value, float) for value in light)
+    given = light if is_list else (light,)
+    try:
+        return tuple(named_code(one) for one in given)  # type: ignore[arg-type]
+    except UsageError as exc:
+        raise ValueError(str(exc)) from None

@@ -20,9 +20,11 @@ from labdaemon.campaign.campaign_file import (
     SweepPhase,
     frequencies,
 )
+from labdaemon.campaign.light_plan import ImageScale, LitExcitation, plan_light
 from labdaemon.campaign.limits import ShakerLimits, check_amplitude, check_frequency
 from labdaemon.campaign.steps import Plan, SettleRule, Shot, Step
 from labdaemon.capture.exposure import choose_exposure, common_steps_s
+from labdaemon.capture.lamp import Lamp
 from labdaemon.capture.settle import settling_time_s
 from labdaemon.errors import ConfigError, LimitError
 
@@ -50,6 +52,10 @@ class PlanRig:
         Time to set the shaker, and to fire and to fetch the files, without the exposure itself.
     digest
         Of the parts of the rig file that results depend on.
+    lamp
+        The lamp for coded light; None when the rig has none. One with all levels where nothing is known of it.
+    scale
+        How large things are in the images.
     """
 
     limits: ShakerLimits | None
@@ -61,6 +67,8 @@ class PlanRig:
     set_s: float = 2.0
     shot_s: float = 3.0
     digest: str = ""
+    lamp: Lamp | None = field(default_factory=lambda: Lamp(levels=256))
+    scale: ImageScale = field(default_factory=ImageScale)
 
 
 def make_plan(campaign: Campaign, rig: PlanRig) -> Plan:
@@ -92,7 +100,7 @@ def make_plan(campaign: Campaign, rig: PlanRig) -> Plan:
     if len(steps) > MAX_STEPS:
         raise planner.limit("phase", f"makes more than {MAX_STEPS} steps; split the campaign")
     digest = hashlib.sha256(json.dumps([campaign.toml, rig.digest]).encode()).hexdigest()
-    plan = Plan(campaign.name, tuple(steps), campaign.toml, digest)
+    plan = Plan(campaign.name, tuple(steps), campaign.toml, digest, tuple(planner.notes))
     if rig.free_bytes is not None and plan.predicted_bytes > rig.free_bytes:
         need, room = plan.predicted_bytes / 1e9, rig.free_bytes / 1e9
         raise planner.limit(None, f"needs {need:.2f} GB of disk where {room:.2f} GB are free; free some or plan less")
@@ -115,6 +123,8 @@ class _Planner:
         self.campaign, self.rig = campaign, rig
         self.source = campaign.source or "campaign"
         self.exposures_s = common_steps_s(rig.exposure_steps_s.values())
+        self.notes: dict[str, None] = {}
+        """In the order in which they came up, each once."""
 
     def limit(self, key: str | None, message: str) -> LimitError:
         return LimitError(message, source=self.source, key=key)
@@ -190,6 +200,9 @@ class _Planner:
         """One excitation: its captures, or one step for each group of captures at several phases."""
         hold_s = phase.hold_s if isinstance(phase, DwellPhase) else 0.0
         settle = phase.settle.value()
+        if phase.light is not None:
+            yield from self.lit(place, phase, frequency_hz, amplitude_mm, hold_s)
+            return
         if phase.phase_rad is None:
             shots = (self.shot(place, phase.exposure_s, frequency_hz),) * phase.captures
             yield _Draft(self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=hold_s))
@@ -199,6 +212,30 @@ class _Planner:
         for group in range(phase.captures):
             held_s = hold_s if group == 0 else 0.0
             yield _Draft(self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=held_s))
+
+    def lit(
+        self,
+        place: int,
+        phase: StepsPhase | SweepPhase | DwellPhase,
+        frequency_hz: float,
+        amplitude_mm: float,
+        hold_s: float,
+    ) -> Iterator[_Draft]:
+        """One excitation under coded light: its captures, or one step for each group of captures with several codes."""
+        expected_mm = phase.expected_mm or amplitude_mm
+        lit = LitExcitation(phase.light_codes, phase.light_phase_rad, phase.exposure_s, frequency_hz, expected_mm)
+        try:
+            planned = plan_light(lit, self.rig.lamp, self.exposures_s, self.rig.scale)
+        except (ConfigError, LimitError) as exc:
+            key = f"phase[{place}]." + ("exposure_s" if isinstance(exc, LimitError) else "light")
+            raise type(exc)(str(exc), source=self.source, key=key) from None
+        self.notes |= dict.fromkeys(f"phase[{place}], {note}" for note in planned.notes)
+        groups = [planned.shots * phase.captures] if len(planned.shots) == 1 else [planned.shots] * phase.captures
+        for number, shots in enumerate(groups):
+            held_s = hold_s if number == 0 else 0.0
+            settle = phase.settle.value()
+            step = self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=held_s)
+            yield _Draft(replace(step, precision=planned.precision, grouped=len(planned.shots) > 1))
 
     def shot(self, place: int, nominal_s: float, frequency_hz: float | None, *, half_cycles: bool = False) -> Shot:
         """The exposure that the cameras can give."""
@@ -234,7 +271,7 @@ class _Planner:
             frequency_hz=frequency_hz,
             amplitude_mm=amplitude_mm,
             shots=shots,
-            grouped=len({shot.phase_rad for shot in shots}) > 1,
+            grouped=len({(shot.phase_rad, shot.light) for shot in shots}) > 1,
             settle=settle,
             on_fault=phase.on_fault,
             predicted_s=hold_s if phase.kind == "external" else moving_s + hold_s + shooting_s,

@@ -132,6 +132,7 @@ class StepRunner:
             cameras=tuple(self.context.rig.cameras),
             excitation=excitation,
             trigger_phase_rad=shot.phase_rad,
+            light=shot.light,
         )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from labdaemon.capture.lamp import LightRequest
+
 PhaseKind = Literal["sharp", "steps", "dwell", "sweep", "external", "pause"]
 OnFault = Literal["retry", "skip", "pause", "abort"]
 
@@ -21,11 +23,39 @@ class Shot:
         Excitation cycles in it, None at rest or when the frequency is unknown.
     phase_rad
         Excitation phase at which to open, None for any.
+    light
+        Light code to be played meanwhile, None for constant light.
     """
 
     exposure_s: float
     cycles: float | None = None
     phase_rad: float | None = None
+    light: LightRequest | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LightPrecision:
+    """What captures under coded light will know of the largest motion that is expected (`labdaemon.blur.predict_sd`).
+
+    Attributes
+    ----------
+    amplitude_px, amplitude_mm
+        The motion's semi-amplitude.
+    sd_amplitude_px, sd_amplitude_mm
+        Standard deviation of it, median over the motion's phases.
+    sd_phase_rad, worst_sd_phase_rad
+        Standard deviation of the phase, median and largest over the motion's phases.
+    twin_sd
+        Distance to the nearest other motion that could be taken for it, standard deviations.
+    """
+
+    amplitude_px: float
+    amplitude_mm: float
+    sd_amplitude_px: float
+    sd_amplitude_mm: float
+    sd_phase_rad: float
+    worst_sd_phase_rad: float
+    twin_sd: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +100,8 @@ class Step:
     one."""
     at_rest: bool = True
     """False for a sharp set of a structure that never rests."""
+    precision: LightPrecision | None = None
+    """Of captures under coded light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +114,8 @@ class Plan:
     """The campaign's text as submitted."""
     digest: str
     """SHA-256 of text and of the parts of the rig it was planned for: resuming under another is refused."""
+    notes: tuple[str, ...] = ()
+    """What a person should know before it runs."""
 
     @property
     def predicted_s(self) -> float:

@@ -10,7 +10,7 @@ Bodies name their steps in rounded figures, but run a ladder of powers of two: i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 _LONG_THIRDS_S = (30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3.2, 2.5, 2, 1.6, 1.3)
@@ -29,6 +29,8 @@ WINDOW_STOPS = 2 / 3
 """How far the plan may go from the nominal exposure for whole cycles; further would clip or starve the frame."""
 TIE_CYCLES = 0.01
 """Steps whose cycles are this equally good are distinguished by how near they are to the nominal exposure."""
+FILL_TIE = 0.05
+"""Relative difference of the part of an exposure that a code fills, below which two steps are equally good."""
 
 
 def _ladder(long_s: Sequence[float], below: Sequence[float], per_stop: int) -> dict[float, float]:
@@ -150,3 +152,32 @@ def choose_exposure(
 
     best = min(near, key=badness)
     return Exposure(best, best * frequency_hz)
+
+
+def choose_lit_exposure(
+    steps_s: Sequence[float], nominal_s: float, cycles_within: Callable[[float], int]
+) -> tuple[float, int] | None:
+    """The step near the nominal exposure of which whole cycles of a light code fill the largest part.
+
+    Parameters
+    ----------
+    steps_s
+        True exposure times that the cameras offer, seconds.
+    nominal_s
+        What the campaign asks for.
+    cycles_within
+        How many cycles of the code fit into an exposure.
+
+    Returns
+    -------
+    exposure, cycles
+        None when no step lies within `WINDOW_STOPS` of the nominal exposure, or no cycle fits.
+    """
+    near = [step for step in steps_s if abs(math.log2(step / nominal_s)) <= WINDOW_STOPS + 0.1]
+    fitting = [(step, cycles) for step in near if (cycles := cycles_within(step)) > 0]
+    if not fitting:
+        return None
+    fullest = max(cycles / step for step, cycles in fitting)
+    # Steps that are filled about equally well are distinguished by how near they are to the nominal exposure.
+    good = [(step, cycles) for step, cycles in fitting if cycles / step >= (1 - FILL_TIE) * fullest]
+    return min(good, key=lambda one: abs(math.log2(one[0] / nominal_s)))

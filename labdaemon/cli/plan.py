@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -49,7 +50,9 @@ def plan(campaign: Path, config: Path | None, address: str, as_json: bool) -> No
         return
     for line in table(made, rig.limits):
         click.echo(line)
-    if any(_star(shot.cycles) == "*" for step in made.steps for shot in step.shots):
+    for line in light_lines(made):
+        click.echo(line)
+    if any(_star(shot.cycles) == "*" for step in made.steps for shot in step.shots if shot.light is None):
         click.echo("* a part cycle: measured with the shutter's true window, which takes the excitation's phase")
     note = sentence(enable_line(rig))
     click.echo(
@@ -93,11 +96,37 @@ def _line(step: Step, limits: ShakerLimits | None) -> str:
             share = f"{amplitude / largest_amplitude_mm(limits, frequency):.0%}"
     shot = step.shots[0] if step.shots else None
     exposure = f"{shot.exposure_s:.4g}" if shot else ""
-    cycles = f"{shot.cycles:.2f}{_star(shot.cycles)}" if shot and shot.cycles is not None else ""
+    cycles = ""
+    if shot and shot.cycles is not None:
+        cycles = f"{shot.cycles:.2f}{' ' if shot.light is not None else _star(shot.cycles)}"
     return (
         f"{step.label:<26}{motion[0]:>8}{motion[1]:>8}{motion[2]:>8}{motion[3]:>9}{len(step.shots) or '':>6}"
         f"{exposure:>12}{cycles:>9}{duration(step.predicted_s):>9}{share:>7}"
     ).rstrip()
+
+
+def light_lines(made: Plan) -> list[str]:
+    """What each step under coded light is predicted to know, and what a person should know before it runs."""
+    head = (
+        f"{'coded light':<26}{'cycles':>8}{'expected':>16}{'sd mm':>9}{'sd phase':>9}{'worst':>8}{'nearest twin':>14}"
+    )
+    lines: list[str] = []
+    for step in made.steps:
+        known = step.precision
+        light = step.shots[0].light if step.shots else None
+        if known is None or light is None:
+            continue
+        expected = f"{known.amplitude_mm:.2g} mm {known.amplitude_px:.2g} px"
+        lines.append(
+            f"{step.label:<26}{light.cycles:>8}{expected:>16}{known.sd_amplitude_mm:>9.4f}"
+            f"{math.degrees(known.sd_phase_rad):>8.2f}°{math.degrees(known.worst_sd_phase_rad):>7.2f}°"
+            f"{known.twin_sd:>11.3g} sd"
+        )
+    notes = [f"note: {note}" for note in made.notes]
+    if not lines:
+        return notes
+    about = "of one target and camera, Cramér–Rao; expected is the table's amplitude unless the phase says expected_mm"
+    return [head, *lines, f"({about})", *notes]
 
 
 def _star(cycles: float | None) -> str:
@@ -107,7 +136,7 @@ def _star(cycles: float | None) -> str:
 def _document(made: Plan) -> dict[str, Any]:
     steps = [asdict(step) for step in made.steps]
     totals = {"predicted_s": made.predicted_s, "predicted_bytes": made.predicted_bytes}
-    return {"name": made.name, "digest": made.digest, **totals, "steps": steps}
+    return {"name": made.name, "digest": made.digest, **totals, "steps": steps, "notes": list(made.notes)}
 
 
 def _free_bytes(folder: Path) -> int:

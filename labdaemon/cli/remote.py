@@ -114,6 +114,8 @@ def submit(campaign: Path, request_id: str | None, address: str, as_json: bool) 
     result = ask(
         address, "campaign.submit", timeout_s=SUBMIT_TIMEOUT_S, toml=text, request_id=request_id or uuid4().hex
     )
+    for note in result.get("notes", ()):
+        click.echo(f"note: {note}", err=True)
     say(result, as_json, f"campaign {result['campaign']} submitted")
 
 

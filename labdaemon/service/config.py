@@ -12,12 +12,14 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from labdaemon.campaign.light_plan import ImageScale
 from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.campaign.plan import PlanRig
 from labdaemon.capture.abilities import ExcitationChecker, SettingsSource
 from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
 from labdaemon.errors import ConfigError, LimitError
 from labdaemon.rig_sections import DriverSection, RigSections
+from labdaemon.service.lamp_settings import check_player, image_scale, lamp_of
 from labdaemon.stream.access_token import AccessToken
 from labdaemon.tomlfile import nearest, parse_model, read_toml
 
@@ -109,6 +111,7 @@ def load_rig(path: Path | str, *, check_drivers: bool = True, check_files: bool 
         for key, kind, name, section in _driver_sections(rig):
             settings = rig.shaker_settings() if kind == "shaker" else section.settings
             _check_driver(source, key, kind, name, section, settings)
+        check_player(rig)
     if check_files:
         _check_lenses(rig)
     return rig
@@ -142,6 +145,8 @@ def plan_rig(
         refusal=partial(_refusal, _build_shaker(rig)),
         can_fire=rig.trigger.driver not in BUILT_IN["trigger"],
         digest=rig.digest,
+        lamp=lamp_of(rig),
+        scale=image_scale(rig) if rig.lamp is not None else ImageScale(),
     )
 
 

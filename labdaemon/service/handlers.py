@@ -51,7 +51,8 @@ def handlers(
         request_id = given.optional_text("request_id", longest=MAX_ID)
         plan = await aside(planner, given.text("toml", longest=MAX_BYTES))
         id = await engine.submit(plan, request_id)
-        return {"campaign": id, "folder": str(campaign_folder(engine.context.data, id))}
+        notes = {"notes": list(plan.notes)} if plan.notes else {}
+        return {"campaign": id, "folder": str(campaign_folder(engine.context.data, id)), **notes}
 
     async def pause(params: dict[str, Any]) -> Any:
         return {"campaign": await engine.pause(_campaign(CommandParameters(params, "campaign")))}

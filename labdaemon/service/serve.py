@@ -31,6 +31,7 @@ from labdaemon.service.devices import camera_overrides
 from labdaemon.service.fault_hook import FaultHook, resolve_command
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
+from labdaemon.service.lamp_settings import lamp_of
 from labdaemon.service.openrpc import openrpc_document
 from labdaemon.service.pool_measurer import PoolMeasurer
 from labdaemon.service.side_servers import SideServers
@@ -213,6 +214,7 @@ def _engine(context: DaemonContext, recorder: Recorder, pool: WorkerPool, planne
         context.data,
         cameras=camera_overrides(context.config),
         camera_timeout_s=interlocks.camera_timeout_s,
+        lamp=lamp_of(context.config),
     )
     measurer = context.measurer(pool, context.journal) if context.measurer is not None else PoolMeasurer(pool)
     engine = Engine(

@@ -185,7 +185,7 @@ class FakeLab:
     def plan(self, toml: str) -> Plan:
         """A campaign's plan for this lab."""
         table = ShakerLimits(150.0, 1000.0, 20000.0, (0.5, 50.0)) if self.fake.rig.shaker is not None else None
-        return make_plan(load_campaign(toml), PlanRig(table, self.exposures_s, digest=self.rig_digest))
+        return make_plan(load_campaign(toml), PlanRig(table, self.exposures_s, digest=self.rig_digest, lamp=self.lamp))
 
     async def submit(self, toml: str) -> str:
         """Queue a campaign."""

@@ -150,6 +150,11 @@ MISTAKES: list[tuple[tuple[str, str], str, str]] = [
     (('file = "sim-control.csv"', 'file = "nowhere.csv"'), "control.file", "not there"),
     (("max_response_mm = 60.0", "max_respons_mm = 60.0"), "interlocks.max_respons_mm", "did you mean max_response_mm"),
     (("max_response_mm = 60.0", "max_response_mm = -1.0"), "interlocks.max_response_mm", "greater than 0"),
+    (("levels = 256", "levels = 1"), "lamp.levels", "greater than or equal to 2"),
+    (("rise_s = 1e-4", "rise_ms = 0.1"), "lamp.rise_ms", "did you mean rise_s"),
+    (("levels = 256", 'output = "gpio"'), "lamp.output", "'trigger'"),
+    (('driver = "box"', 'driver = "rts"'), "lamp.output", "driver rts has no lamp output"),
+    (("ambient = 0.05 ", "mains_hz = 55\nambient = 0.05 "), "lamp.mains_hz", "50"),
     (('port = "sim://shaker"', 'prot = "sim://shaker"\nport = "x"'), "shaker.prot", "did you mean port"),
     (('backend = "sim"', 'backnd = "sim"'), "cameras.left.backnd", "did you mean backend"),
 ]

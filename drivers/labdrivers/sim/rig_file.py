@@ -50,6 +50,7 @@ def rig_toml(
             frequency_hz=table.frequency_hz,
         ),
         _section("[trigger]", driver="box", port=ports["trigger"]),
+        _section("[lamp]", rise_s=spec.lamp.rise_s, ambient=spec.lamp.ambient, levels=spec.lamp.levels),
     ]
     for role in ("table", "response"):
         port = ports[f"gauge-{role}"]
