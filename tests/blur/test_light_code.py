@@ -58,6 +58,21 @@ def test_nodes_integrate_the_light_over_the_cycle(
     assert abs(transfer - integrated(window, fa, fb)) < 2e-4
 
 
+@pytest.mark.parametrize("sectors", [17, 31, 64])
+@pytest.mark.parametrize("amplitude", [0.5, 3.0, 12.0])
+def test_many_sectors_are_integrated_by_their_harmonics(sectors: int, amplitude: float) -> None:
+    levels = np.random.default_rng(sectors).uniform(0, 1, sectors)
+    light = LightCode(tuple(levels), 0.7, 3, 0.2, 0.03)
+    window = ExposureWindow(5.0, 0.7, 0.4, light=light)
+    basis, weight = window_nodes(window, amplitude)
+    assert weight.sum() == pytest.approx(1.0)
+    assert weight.size < 110 + 12 * amplitude
+    for f in (0.05, 0.25, 0.5):
+        fa, fb = amplitude * f * np.cos(1.1), amplitude * f * np.sin(1.1)
+        transfer = np.sum(weight * np.exp(-2j * np.pi * (fa * basis[0] + fb * basis[1])))
+        assert abs(transfer - integrated(window, fa, fb)) < 3e-4
+
+
 def test_even_light_is_the_arcsine_law() -> None:
     even = ExposureWindow(5.0, 1.0, light=LightCode((1.0, 1.0, 1.0), 0.3, 5))
     assert not even.is_coded
