@@ -33,6 +33,8 @@ NEAR_TWIN_SD = 3.0
 """At the amplitude that is expected: nearer than this a target in fifteen may be `ambiguous`."""
 PAIR_BELOW_PX = 2.0
 """Below this image motion a cosine-sine pair is the better choice."""
+FLICKER_PERIODS = 20
+"""In fewer periods of a flicker, a part period changes the mean by more than one part in fifty."""
 LENS_SIGMA_PX = 0.8
 
 
@@ -254,7 +256,7 @@ def _flicker_note(frequency_hz: float, exposure_s: float, lamp: Lamp, amplitude_
             f"the room's light flickers at {lamp.flicker_hz:g} Hz, {beat_hz:.2g} Hz from harmonic {order} of the "
             "excitation: it acts like a code that is not known; use DC light, or another frequency"
         )
-    if lamp.flicker_hz * exposure_s < 10:
+    if lamp.flicker_hz * exposure_s < FLICKER_PERIODS:
         return (
             f"the exposure holds {lamp.flicker_hz * exposure_s:.1f} periods of the room's light, which flickers at "
             f"{lamp.flicker_hz:g} Hz: its share is not constant; use DC light"
