@@ -48,7 +48,7 @@ def straight_candidates(
     for _, signs, vector, sign_penalty in ranked[:2]:
         try:
             candidate = _adjust_straight(cameras, exterior, motions, signs, np.stack([start[0], vector, np.zeros(3)]))
-        except DataError:  # another start may lead to an orbit in front of the cameras
+        except DataError:
             continue  # ends matched wrongly may put the path behind a camera
         result.append(replace(candidate, sign_penalty=sign_penalty))
     if not result:
@@ -129,7 +129,7 @@ def orbit_candidates(
             candidate = adjust_motion(
                 cameras, exterior, observed, noise, _moment_model, range(9), np.stack([mean, *start]), phase_free=True
             )
-        except DataError:
+        except DataError:  # another start may lead to an orbit in front of the cameras
             continue
         a, b, covariance = principal_axes(candidate.motion_mm[1], candidate.motion_mm[2], candidate.covariance_mm2)
         motion_mm = np.stack([candidate.motion_mm[0], a, b])
