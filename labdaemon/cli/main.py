@@ -30,6 +30,7 @@ COMMANDS = {
     "process": ("labdaemon.cli.process:process", "Envelopes in millimetres from a data-set folder."),
     "report": ("labdaemon.cli.report:report", "A page about a data-set folder's results."),
     "compare": ("labdaemon.cli.compare:compare", "What changed between two campaigns, and where."),
+    "export": ("labdaemon.cli.export:export", "Results as HDF5, Parquet, UFF, VTK, MATLAB or netCDF."),
     "calibrate": ("labdaemon.cli.calibrate:calibrate", "Calibrate a camera, the shaker or a shutter."),
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
     "bridge": ("labdaemon.cli.bridge:bridge", "Pass a daemon's events on to MQTT or bluesky."),
