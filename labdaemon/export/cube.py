@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,10 +84,10 @@ class EnvelopeCube:
             },
             np.array([envelope.opened_at or "" for envelope in results.envelopes], dtype=np.str_),
             np.array([facts.is_phase_known for facts in results.facts], dtype=np.bool_),
-            {name: _stack(rows, targets, lambda one, name=name: getattr(one, name), 3) for name in VECTORS},
+            {name: _stack(rows, targets, attrgetter(name), 3) for name in VECTORS},
             {
-                "amplitude_mm": _stack(rows, targets, lambda one: one.amplitude_mm, 1)[..., 0],
-                "sd_amplitude_mm": _stack(rows, targets, lambda one: one.sd_mm, 1)[..., 0],
+                "amplitude_mm": _stack(rows, targets, attrgetter("amplitude_mm"), 1)[..., 0],
+                "sd_amplitude_mm": _stack(rows, targets, attrgetter("sd_mm"), 1)[..., 0],
             },
             np.array([[_flags(row.get(target)) for target in targets] for row in rows], dtype=np.str_),
         )

@@ -21,7 +21,7 @@ def write(results: FolderResults, path: Path) -> None:
     """Write the file as ASCII."""
     cube = EnvelopeCube.of(results)
     places = _places(cube.vectors["mean_mm"])
-    is_placed = np.isfinite(places).all(axis=1)
+    is_placed: NDArray[np.bool_] = np.asarray(np.isfinite(places).all(axis=1))
     count = int(is_placed.sum())
     root = ET.Element("VTKFile", type="PolyData", version="1.0", byte_order=_ENDIAN, header_type="UInt64")
     data = ET.SubElement(root, "PolyData")
@@ -47,7 +47,7 @@ def write(results: FolderResults, path: Path) -> None:
 
 def _places(mean_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """(targets, 3) mean position of each target over the captures that saw it; NaN where none did."""
-    seen = np.isfinite(mean_mm).all(axis=2)
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(mean_mm).all(axis=2))
     total = np.where(seen[..., None], mean_mm, 0.0).sum(axis=0)
     with np.errstate(invalid="ignore"):
         places: NDArray[np.float64] = total / seen.sum(axis=0)[:, None]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from labdaemon import __version__
 from labdaemon.export.cube import PER_CAPTURE, SCALARS, EnvelopeCube
@@ -49,5 +50,5 @@ def write(results: FolderResults, path: Path) -> None:
     pq.write_table(to_table(results), path)
 
 
-def _numbers(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> pa.Array:
+def _numbers(values: NDArray[np.float64]) -> pa.Array:
     return pa.array(values, pa.float64(), from_pandas=True)

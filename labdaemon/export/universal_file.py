@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pyuff
+from numpy.typing import NDArray
 
 from labdaemon import __version__
 from labdaemon.export.cube import EnvelopeCube
@@ -124,11 +125,12 @@ def _functions(cube: EnvelopeCube) -> list[dict[str, Any]]:
 
 
 def _by_frequency(
-    frequency: np.ndarray[tuple[int], np.dtype[np.float64]], values: np.ndarray[tuple[int], np.dtype[np.complex128]]
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray[tuple[int], np.dtype[np.complex128]]]:
+    frequency: NDArray[np.float64], values: NDArray[np.complex128]
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Sort by frequency; the mean of captures at one frequency, as an abscissa must rise."""
     unique, place = np.unique(frequency, return_inverse=True)
-    mean = np.bincount(place, values.real) + 1j * np.bincount(place, values.imag)
+    mean = np.zeros(len(unique), dtype=np.complex128)
+    np.add.at(mean, place, values)
     return unique, mean / np.bincount(place)
 
 
@@ -136,8 +138,8 @@ def _function(
     target: str,
     node: int,
     direction: int,
-    x: np.ndarray[tuple[int], np.dtype[np.float64]],
-    y: np.ndarray[tuple[int], np.dtype[np.complex128]],
+    x: NDArray[np.float64],
+    y: NDArray[np.complex128],
     *,
     has_phase: bool,
 ) -> dict[str, Any]:

@@ -101,9 +101,9 @@ def test_shapes_without_any_frequency_are_written_without_functions(folder: Path
 
 @pytest.mark.peers
 def test_paraview_by_its_reader(folder: Path, cube: EnvelopeCube):
-    vtk = pytest.importorskip("vtk")
-    numpy_support = pytest.importorskip("vtk.util.numpy_support")
-    reader = vtk.vtkXMLPolyDataReader()
+    io = pytest.importorskip("vtkmodules.vtkIOXML", exc_type=ImportError)
+    numpy_support = pytest.importorskip("vtkmodules.util.numpy_support", exc_type=ImportError)
+    reader = io.vtkXMLPolyDataReader()
     reader.SetFileName(str(export_folder(folder, folder / "out.vtp")))
     reader.Update()
     data = reader.GetOutput()
