@@ -31,6 +31,8 @@ COMMANDS = {
     "report": ("labdaemon.cli.report:report", "A page about a data-set folder's results."),
     "compare": ("labdaemon.cli.compare:compare", "What changed between two campaigns, and where."),
     "export": ("labdaemon.cli.export:export", "Results as HDF5, Parquet, UFF, VTK, MATLAB or netCDF."),
+    "verify": ("labdaemon.cli.verify:verify", "Recompute hashes, and measure the frames of a folder again."),
+    "noise-floor": ("labdaemon.cli.verify:noise_floor_command", "What the set-up reads at rest."),
     "calibrate": ("labdaemon.cli.calibrate:calibrate", "Calibrate a camera, the shaker or a shutter."),
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
     "bridge": ("labdaemon.cli.bridge:bridge", "Pass a daemon's events on to MQTT or bluesky."),

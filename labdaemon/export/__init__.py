@@ -1,7 +1,8 @@
 """Results of a data-set folder in the files of other tools: HDF5, Parquet, UFF, VTK, MATLAB, netCDF, RO-Crate."""
 
+from labdaemon.analysis.verification import CRATE
 from labdaemon.export.cube import EnvelopeCube
 from labdaemon.export.formats import FORMATS, export_folder
 from labdaemon.export.results import CaptureFacts, FolderResults, read_results
 
-__all__ = ["FORMATS", "CaptureFacts", "EnvelopeCube", "FolderResults", "export_folder", "read_results"]
+__all__ = ["CRATE", "FORMATS", "CaptureFacts", "EnvelopeCube", "FolderResults", "export_folder", "read_results"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from labdaemon.analysis.verification import CRATE
 from labdaemon.durable import make_folder, move_durably
 from labdaemon.errors import StorageError, UsageError
 from labdaemon.export.results import FolderResults, read_results
@@ -86,10 +87,12 @@ def export_folder(folder: Path, to: Path, *, results: Path | None = None) -> Pat
     StorageError
         The file cannot be written.
     """
-    form = FORMATS.get(to.suffix.lower())
+    form = FileFormat("RO-Crate", "crate") if to.name == CRATE else FORMATS.get(to.suffix.lower())
+    if to.name == CRATE and to.parent.resolve() != folder.resolve():
+        raise UsageError(f"{to}: describes the folder in which it lies; write it to {folder / CRATE}")
     if form is None:
         known = ", ".join(f"{suffix} ({one.name})" for suffix, one in FORMATS.items())
-        raise UsageError(f"{to.name}: the suffix is of no format that can be written; use one of {known}")
+        raise UsageError(f"{to.name}: the suffix is of no format that can be written; use one of {known}, or {CRATE}")
     write = form.writer()
     read = read_results(folder, results)
     # The suffix stays: some writers add their own to a name that lacks it.

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from labdaemon.durable import PART, is_being_written, make_folder, storage_error, sync_file, sync_folder
 from labdaemon.errors import DataError
+from labdaemon.file_hash import sha256_of
 
 BLOCK_BYTES = 1 << 20  # hashing is as quick as with larger ones
 
@@ -103,6 +104,8 @@ def holds(path: Path, size_bytes: int, sha256: str) -> bool:
     try:
         return path.stat().st_size == size_bytes and _digest(path) == sha256
     except OSError:  # not there or not readable: it cannot be vouched for
+        return path.stat().st_size == size_bytes and sha256_of(path) == sha256
+    except OSError:
         return False
 
 
@@ -125,7 +128,7 @@ def _place(part: Path, path: Path, sha256: str) -> None:
     try:
         _rename_new(part, path)
     except FileExistsError:
-        if _digest(path) != sha256:
+        if sha256_of(path) != sha256:
             raise NameTaken("another frame has this name", file=path) from None
         part.unlink()
     sync_folder(path.parent)
@@ -147,14 +150,6 @@ def _rename_new(path: Path, to: Path) -> None:
             path.rename(to)
     else:
         path.unlink()
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def remove_parts(root: Path) -> list[Path]:

@@ -158,3 +158,29 @@ def test_the_command_writes_several_files(folder: Path):
         export, [str(folder), "--to", str(folder / "a.mat"), "--to", str(folder / "b.vtp")], catch_exceptions=False
     )
     assert done.output.splitlines() == [f"wrote {folder / 'a.mat'}", f"wrote {folder / 'b.vtp'}"]
+
+
+def test_the_crate_describes_every_file_of_the_folder(folder: Path):
+    import hashlib
+    import json
+
+    (folder / ".hidden").write_text("no", encoding="utf-8")
+    path = export_folder(folder, folder / "ro-crate-metadata.json")
+    graph = {one["@id"]: one for one in json.loads(path.read_text(encoding="utf-8"))["@graph"]}
+    parts = {part["@id"] for part in graph["./"]["hasPart"]}
+    assert parts == {
+        "captures/eight-1/capture.toml",
+        "captures/eight-2/capture.toml",
+        "captures/five/capture.toml",
+        "captures/twelve/capture.toml",
+        "results/envelope.csv",
+    }
+    envelope = graph["results/envelope.csv"]
+    assert envelope["sha256"] == hashlib.sha256((folder / "results" / "envelope.csv").read_bytes()).hexdigest()
+    assert graph["ro-crate-metadata.json"]["about"] == {"@id": "./"}
+    assert graph["#measurement"]["result"] == [{"@id": "results/envelope.csv"}]
+
+
+def test_the_crate_belongs_at_the_root_of_its_folder(folder: Path, tmp_path: Path):
+    with pytest.raises(UsageError, match="describes the folder in which it lies"):
+        export_folder(folder, tmp_path / "ro-crate-metadata.json")
