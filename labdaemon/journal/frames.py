@@ -102,10 +102,8 @@ def move_new(path: Path, to: Path) -> Path:
 def holds(path: Path, size_bytes: int, sha256: str) -> bool:
     """Whether this file is that frame; False where it is not there."""
     try:
-        return path.stat().st_size == size_bytes and _digest(path) == sha256
-    except OSError:  # not there or not readable: it cannot be vouched for
         return path.stat().st_size == size_bytes and sha256_of(path) == sha256
-    except OSError:
+    except OSError:  # not there or not readable: it cannot be vouched for
         return False
 
 
