@@ -72,7 +72,7 @@ class ProcessingSettings(_SettingsTable):
     method: Literal["fit", "paper"] = "fit"
 
 
-class GaugeSettings(_SettingsTable):
+class GaugeEntry(_SettingsTable):
     """A gauge, as far as measuring asks."""
 
     name: str = ""
@@ -92,7 +92,7 @@ class RigFile(_SettingsTable):
     targets: TargetSettings
     control: ControlSettings
     processing: ProcessingSettings = ProcessingSettings()
-    gauges: tuple[GaugeSettings, ...] = Field(default=(), alias="gauge")
+    gauges: tuple[GaugeEntry, ...] = Field(default=(), alias="gauge")
 
     @property
     def stands_for(self) -> dict[str, tuple[str, ...]]:
