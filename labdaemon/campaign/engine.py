@@ -27,7 +27,7 @@ from labdaemon.campaign.steps import Plan, Step
 from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.table_stop import RestConfirmation
 from labdaemon.errors import InterlockError, LabdaemonError, StorageError, StorageUnavailable
-from labdaemon.journal import records, transitions
+from labdaemon.journal import queue_order, records, transitions
 from labdaemon.journal.records import CampaignRecord, CaptureRecord
 from labdaemon.orbit_size import LargestMotion, largest_motion
 from labdaemon.stream.messages import BusyError, CommandError, WrongStateError
@@ -282,8 +282,10 @@ class Engine:
     def _next(self) -> CampaignRecord | None:
         journal = self._journal
         waiting = records.campaigns(journal, "running", "paused", limit=1)
-        waiting = waiting or records.campaigns(journal, "queued", limit=1)
-        return waiting[0] if waiting else None
+        if waiting:
+            return waiting[0]
+        queue = queue_order.queued(journal)
+        return records.campaign(journal, queue[0]) if queue else None
 
     async def _idle(self, monitor: asyncio.Task[None]) -> None:
         """Wait for a campaign; where others fire, keep what others fire meanwhile."""

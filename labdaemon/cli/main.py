@@ -37,6 +37,7 @@ COMMANDS = {
     "targets": ("labdaemon.cli.targets:targets", "Targets to print."),
     "bridge": ("labdaemon.cli.bridge:bridge", "Pass a daemon's events on to MQTT or bluesky."),
     "keys": ("labdaemon.cli.keys:keys", "Who may come in over the network: make, list and revoke keys."),
+    "api": ("labdaemon.cli.api:api", "Describe events and commands: OpenRPC, AsyncAPI, JSON Schema."),
     "bench": ("labdaemon.cli.bench:bench", "Measure labdaemon itself."),
 }
 """Subcommand -> its function, and its line in `--help`. Imported only when called, so that `stop` starts at once."""

@@ -24,6 +24,7 @@ from labdaemon.journal.schema import (
     GAUGE_TABLE,
     LATER_INDEX,
     LIGHT_TABLE,
+    QUEUE_TABLE,
     TABLES,
     VERSION,
 )
@@ -269,6 +270,7 @@ class Journal:
                     sqlite3.Error
                 ):  # a full or locked disk: without it the daemon is slower, and nothing else
                     self._writer.execute(LATER_INDEX)
+                self._writer.execute(QUEUE_TABLE)
                 self._add_card_tables()
                 self._writer.execute(LIGHT_TABLE)
                 self._writer.execute(GAUGE_TABLE)

@@ -121,6 +121,10 @@ CREATE TABLE IF NOT EXISTS gauge_motions (
 ) STRICT, WITHOUT ROWID
 """
 """What gauges saw during captures (`labdaemon.events.GaugeMotion` as JSON). Made for journals of before it, too."""
+QUEUE_TABLE = """
+CREATE TABLE IF NOT EXISTS queue_places (campaign TEXT PRIMARY KEY, place INTEGER NOT NULL) STRICT, WITHOUT ROWID
+"""
+"""Campaigns that a person has moved (`labdaemon.journal.queue_order`). Made for journals of before it, too."""
 CARD_TABLES = """
 CREATE TABLE card_files (
     camera TEXT NOT NULL,

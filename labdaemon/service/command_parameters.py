@@ -79,3 +79,18 @@ class CommandParameters:
         if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
             raise InvalidParamsError(f"{name} is a number from {least:g} to {most:g}, not {bounded_text(value)}")
         return float(value)
+
+    def whole(self, name: str, *, least: int, most: int, default: int) -> int:
+        """A whole number within these bounds; `default` where it is missing or null.
+
+        Raises
+        ------
+        InvalidParamsError
+            It is no whole number, or outside.
+        """
+        value = self._params.get(name)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise InvalidParamsError(f"{name} is a whole number from {least} to {most}, not {bounded_text(value)}")
+        return value

@@ -10,6 +10,7 @@ from labdaemon.campaign.steps import Plan
 from labdaemon.capture.paths import campaign_folder
 from labdaemon.capture.table_evidence import describe
 from labdaemon.off_loop import off_loop
+from labdaemon.service.campaign_queries import MOST_LISTED, CampaignQueries
 from labdaemon.service.capture_parameters import capture_request
 from labdaemon.service.command_parameters import CommandParameters
 from labdaemon.service.openrpc import openrpc_document
@@ -17,6 +18,7 @@ from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.publisher import latest, replay
 from labdaemon.tomlfile import MAX_BYTES
 
+MOST_PLACES = 1_000_000
 MAX_ID = 200
 """Characters of a campaign's or request's id."""
 
@@ -65,6 +67,20 @@ def handlers(
     async def abort(params: dict[str, Any]) -> Any:
         return {"campaign": await engine.abort(_campaign(CommandParameters(params, "campaign")))}
 
+    queries = CampaignQueries(engine)
+
+    async def list_campaigns(params: dict[str, Any]) -> Any:
+        limit = CommandParameters(params, "limit").whole("limit", least=1, most=MOST_LISTED, default=100)
+        return await aside(queries.list, limit)
+
+    async def show(params: dict[str, Any]) -> Any:
+        return await aside(queries.show, _campaign(CommandParameters(params, "campaign")))
+
+    async def move(params: dict[str, Any]) -> Any:
+        given = CommandParameters(params, "campaign", "place")
+        place = given.whole("place", least=0, most=MOST_PLACES, default=0)
+        return await queries.move(given.text("campaign", longest=MAX_ID), place)
+
     async def capture(params: dict[str, Any]) -> Any:
         taken = await engine.capture(capture_request(params))
         return {"capture": taken.name, "opened_at": taken.opened_at}
@@ -95,6 +111,9 @@ def handlers(
         "campaign.pause": pause,
         "campaign.resume": resume,
         "campaign.abort": abort,
+        "campaign.list": list_campaigns,
+        "campaign.show": show,
+        "campaign.move": move,
         "capture": capture,
         "events.replay": replay_events,
         "events.latest": latest_events,

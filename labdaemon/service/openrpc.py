@@ -6,10 +6,16 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
 
+from pydantic.json_schema import models_json_schema
+
 from labdaemon import __version__
 from labdaemon.events import event_schema
+from labdaemon.events.payloads import EventPart
+from labdaemon.service.campaign_queries import MOST_LISTED
 from labdaemon.service.capture_parameters import AMPLITUDE_MM, EXPOSURE_S, FREQUENCY_HZ, MAX_TEXT, PHASE_RAD
+from labdaemon.stream import messages, results
 from labdaemon.stream.publisher import MAX_REPLAY
+from labdaemon.stream.roles import OBSERVER_COMMANDS
 from labdaemon.tomlfile import MAX_BYTES
 
 Schema: TypeAlias = dict[str, Any]
@@ -17,7 +23,8 @@ Schema: TypeAlias = dict[str, Any]
 
 OPENRPC_VERSION = "1.2.6"
 """Of the specification that the document follows (https://spec.open-rpc.org)."""
-EVENT_REFERENCE = "#/components/schemas/"
+REFERENCE = "#/components/schemas/"
+"""Where the schemas lie in the document."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +38,14 @@ class MethodDescription:
     params
         JSON Schema of each parameter, by name.
     result
-        JSON Schema of each member of the result, by name; other members may come.
+        Model of what it answers; other members may come.
     required
         Names of the parameters that must be given.
     """
 
     summary: str
     params: dict[str, Schema]
-    result: dict[str, Schema]
+    result: type[EventPart]
     required: tuple[str, ...] = ()
 
 
@@ -50,41 +57,48 @@ def _number(description: str, bounds: tuple[float, float]) -> Schema:
     return {"type": "number", "minimum": bounds[0], "maximum": bounds[1], "description": description}
 
 
-def _or_null(schema: Schema) -> Schema:
-    return schema | {"type": [schema["type"], "null"]}
-
-
 CAMPAIGN = _text("id of the campaign; the current one by default", MAX_TEXT)
 REQUEST_ID = _text("makes the command safe to repeat: sent again, it answers the same and does nothing twice", MAX_TEXT)
-CAMPAIGN_RESULT = {"campaign": _text("id of the campaign")}
 SEQ: Schema = {"type": "integer", "minimum": 0}
-EVENTS_RESULT: dict[str, Schema] = {
-    "events": {"type": "array", "items": {"$ref": f"{EVENT_REFERENCE}Event"}},
-    "last": SEQ | {"description": "the journal's last seq"},
-    "journal": _text("UUID of the journal"),
-}
 
 METHODS: dict[str, MethodDescription] = {
-    "status": MethodDescription(
-        "What the daemon does now.", {}, {"seq": SEQ, "journal": _text("UUID of the journal"), "state": _text("state")}
-    ),
-    "rig": MethodDescription("The rig: devices, cameras, limits, addresses.", {}, {"version": _text("of labdaemon")}),
+    "status": MethodDescription("What the daemon does now.", {}, results.StatusResult),
+    "rig": MethodDescription("The rig: devices, cameras, limits, addresses.", {}, results.RigResult),
     "campaign.submit": MethodDescription(
         "Queue a campaign.",
         {"toml": _text("text of the campaign file", MAX_BYTES), "request_id": REQUEST_ID},
-        CAMPAIGN_RESULT | {"folder": _text("the campaign's data-set folder")},
+        results.SubmitResult,
         required=("toml",),
     ),
-    "campaign.pause": MethodDescription("Bring the table to rest and wait.", {"campaign": CAMPAIGN}, CAMPAIGN_RESULT),
+    "campaign.pause": MethodDescription(
+        "Bring the table to rest and wait.", {"campaign": CAMPAIGN}, results.CampaignResult
+    ),
     "campaign.resume": MethodDescription(
         "Continue a paused campaign.",
         {
             "campaign": CAMPAIGN,
             "accept_changed_rig": {"type": "boolean", "description": "also where the rig file has changed since"},
         },
-        CAMPAIGN_RESULT,
+        results.CampaignResult,
     ),
-    "campaign.abort": MethodDescription("End a campaign for good.", {"campaign": CAMPAIGN}, CAMPAIGN_RESULT),
+    "campaign.abort": MethodDescription("End a campaign for good.", {"campaign": CAMPAIGN}, results.CampaignResult),
+    "campaign.list": MethodDescription(
+        "Campaigns, the newest first; those that wait or run are always among them.",
+        {"limit": {"type": "integer", "minimum": 1, "maximum": MOST_LISTED, "default": 100}},
+        results.CampaignListResult,
+    ),
+    "campaign.show": MethodDescription(
+        "One campaign in full, with the folder of its results.", {"campaign": CAMPAIGN}, results.CampaignShowResult
+    ),
+    "campaign.move": MethodDescription(
+        "Give a queued campaign another place in the queue.",
+        {
+            "campaign": _text("id of the campaign", MAX_TEXT),
+            "place": SEQ | {"default": 0, "description": "its place, counted from 0, the next one"},
+        },
+        results.MoveResult,
+        required=("campaign",),
+    ),
     "capture": MethodDescription(
         "Fire all shutters once; answers when they have opened.",
         {
@@ -97,27 +111,17 @@ METHODS: dict[str, MethodDescription] = {
             "group": _text("captures of one group are measured together", MAX_TEXT),
             "exposure_s": _number("exposure time, seconds", EXPOSURE_S),
         },
-        {
-            "capture": _text("name of the capture"),
-            "opened_at": _or_null(_text("opening of the shutters, RFC 3339 UTC")),
-        },
+        results.CaptureResult,
     ),
     "events.replay": MethodDescription(
         "Events after a seq, ascending; ask until `last` is reached.",
         {"after": SEQ | {"default": 0}, "limit": SEQ | {"default": MAX_REPLAY}},
-        EVENTS_RESULT | {"gone_before": SEQ | {"description": "first seq that is left, where history was cut"}},
+        results.EventsResult,
     ),
-    "events.latest": MethodDescription("The last event of each kind.", {}, EVENTS_RESULT),
-    "rpc.discover": MethodDescription("This document.", {}, {"openrpc": _text("version of the specification")}),
+    "events.latest": MethodDescription("The last event of each kind.", {}, results.EventsResult),
+    "rpc.discover": MethodDescription("This document.", {}, results.DiscoverResult),
     "stop": MethodDescription(
-        "Bring the shaker to rest now; parameters of any name are accepted.",
-        {},
-        {
-            "rest": _text("how it came to rest"),
-            "table": _or_null(_text("rest, moving or unconfirmed; null without a shaker")),
-            "seen": _or_null(_text("what was seen of the table")),
-            "troubles": {"type": "array", "items": {"type": "string"}},
-        },
+        "Bring the shaker to rest now; parameters of any name are accepted.", {}, results.StopResult
     ),
 }
 """Every command that the daemon answers."""
@@ -126,14 +130,34 @@ METHODS: dict[str, MethodDescription] = {
 @cache
 def openrpc_document() -> dict[str, Any]:
     """The OpenRPC document of this version. The caller must not change it."""
-    events = event_schema(EVENT_REFERENCE)
-    schemas = events.pop("$defs")
     return {
         "openrpc": OPENRPC_VERSION,
         "info": {"title": "labdaemon", "version": __version__},
         "methods": [_method(name, method) for name, method in METHODS.items()],
-        "components": {"schemas": schemas | {"Event": events}},
+        "components": {"schemas": all_schemas(REFERENCE), "errors": ERRORS},
     }
+
+
+ERRORS = {
+    name: {"code": code, "message": name, "data": {"name": name}} for code, name in sorted(messages.NAMES.items())
+}
+"""Errors by the word in their ``data.name``."""
+
+
+def all_schemas(reference: str) -> dict[str, Any]:
+    """JSON Schemas by name: each event, ``Event`` for any of them, and what each command answers.
+
+    Parameters
+    ----------
+    reference
+        Where they lie in the document that they are for, with a slash at its end.
+    """
+    events = event_schema(reference)
+    schemas: dict[str, Any] = events.pop("$defs")
+    models = sorted({method.result for method in METHODS.values()}, key=lambda model: model.__name__)
+    _, made = models_json_schema([(model, "serialization") for model in models], ref_template=reference + "{model}")
+    schemas |= made["$defs"]
+    return dict(sorted(schemas.items())) | {"Event": events}
 
 
 def _method(name: str, method: MethodDescription) -> dict[str, Any]:
@@ -145,5 +169,6 @@ def _method(name: str, method: MethodDescription) -> dict[str, Any]:
             {"name": param, "required": param in method.required, "schema": schema}
             for param, schema in method.params.items()
         ],
-        "result": {"name": "result", "schema": {"type": "object", "properties": method.result}},
+        "result": {"name": "result", "schema": {"$ref": REFERENCE + method.result.__name__}},
+        "x-role": "observer" if name in OBSERVER_COMMANDS else "operator",
     }

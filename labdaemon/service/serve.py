@@ -23,6 +23,7 @@ from labdaemon.capture.context import AcquisitionContext
 from labdaemon.capture.device_executor import ThreadExecutor
 from labdaemon.capture.recorder import Recorder
 from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable
+from labdaemon.journal.retention import Retention
 from labdaemon.off_loop import off_loop
 from labdaemon.processing import WorkerPool
 from labdaemon.service.config import RigConfig, plan_rig
@@ -31,6 +32,7 @@ from labdaemon.service.devices import camera_overrides
 from labdaemon.service.fault_hook import FaultHook, resolve_command
 from labdaemon.service.guardian_context import REPORT_NAME, take_report
 from labdaemon.service.handlers import handlers
+from labdaemon.service.history import keep_history
 from labdaemon.service.lamp_settings import lamp_of
 from labdaemon.service.openrpc import openrpc_document
 from labdaemon.service.pool_measurer import PoolMeasurer
@@ -185,6 +187,10 @@ async def _run_parts(context: DaemonContext, engine: Engine, start: StartupSeque
     parts: list[asyncio.Future[Any]] = [*start.parts, asyncio.create_task(engine.run())]
     if hook is not None:
         parts.append(asyncio.create_task(supervise("on_fault", hook.run, context.clock)))
+    retention = Retention(context.config.service.history_days, context.config.service.history_events)
+    if not retention.is_unlimited:
+        keep = partial(keep_history, engine.context.recorder, retention, context.clock)
+        parts.append(asyncio.create_task(supervise("history", keep, context.clock)))
     start.announce()
     notify(f"STATUS=serving on {context.commands.address}")
     try:
