@@ -52,7 +52,7 @@ def first_to_keep(journal: Journal, retention: Retention) -> int:
         "(SELECT id FROM campaigns WHERE state IN ('queued', 'running', 'paused'))"
     )[0][0]
     limits = [first, last - LEAST_LEFT + 1] + ([unfinished] if unfinished is not None else [])
-    return max(min(limits), 1)
+    return int(max(min(limits), 1))
 
 
 def cut_history(journal: Journal, before: int) -> bool:

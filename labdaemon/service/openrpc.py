@@ -111,7 +111,7 @@ METHODS: dict[str, MethodDescription] = {
             "group": _text("captures of one group are measured together", MAX_TEXT),
             "exposure_s": _number("exposure time, seconds", EXPOSURE_S),
         },
-        results.CaptureResult,
+        results.CaptureReply,
     ),
     "events.replay": MethodDescription(
         "Events after a seq, ascending; ask until `last` is reached.",

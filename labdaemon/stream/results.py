@@ -161,7 +161,7 @@ class MoveResult(EventPart):
     queue: tuple[str, ...]
 
 
-class CaptureResult(EventPart):
+class CaptureReply(EventPart):
     """A capture: its name, and when the shutters opened (None where an outside system has yet to release)."""
 
     capture: str
