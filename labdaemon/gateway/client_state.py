@@ -91,7 +91,7 @@ class ClientState:
 
     def __init__(self, context: GatewayContext) -> None:
         self.context = context
-        self.role: Role = context.access.role
+        self.role: Role | None = context.access.role
         self.settings: CaptureSettings = CaptureSettings()
         self.errors: ErrorQueue = ErrorQueue()
         self.event_status: int = POWER_ON
