@@ -49,18 +49,27 @@ on_fault = "retry"
     type=click.Path(dir_okay=False, path_type=Path),
     help="A campaign file; the first three modes of the simulated frame if not given.",
 )
-def demo(out: Path | None, campaign: Path | None) -> None:
+@click.option(
+    "--serve",
+    is_flag=True,
+    help="Keep going for clients, campaign after campaign, on fixed ports of loopback; prints lines to join with.",
+)
+def demo(out: Path | None, campaign: Path | None, serve: bool) -> None:
     """Run a campaign on a simulated rig, and compare the results with what the rig truly did. Needs no hardware.
 
     Rig and daemon run as processes of their own; the daemon reaches the rig through the devices' real protocols.
     """
     from labdaemon.campaign.campaign_file import load_campaign
+    from labdaemon.cli.demo_serve import serve_demo
 
-    text = load_campaign(campaign if campaign is not None else THREE_MODES).toml
+    given = load_campaign(campaign).toml if campaign is not None else None
     out = free_folder(out)
     end_on_signals()
     try:
-        _demo(out, text, attended=campaign is not None)
+        if serve:
+            serve_demo(out, given)
+        else:
+            _demo(out, given or THREE_MODES, attended=campaign is not None)
     except LabdaemonError as exc:
         if exc.exit_status == UsageError.exit_status:
             shutil.rmtree(out)  # nothing was begun

@@ -15,6 +15,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import IO, Any, Protocol
 
+from labdaemon.durable import write_durably
 from labdaemon.errors import LabdaemonError, UsageError
 from labdaemon.stream.client import Client, EventStream
 
@@ -22,6 +23,7 @@ READY_S = 120.0
 """Longest that the daemon may take to serve."""
 SILENT_S = 60.0
 """A daemon that is not heard for so long hangs; a busy machine alone delays heartbeats by seconds."""
+FREE = "tcp://127.0.0.1:*"
 END_S = 20.0
 """Longest that the daemon may take to bring the table to rest and end."""
 
@@ -92,13 +94,17 @@ class DemoLab:
 
 
 @contextlib.contextmanager
-def laboratory(out: Path) -> Iterator[DemoLab]:
+def laboratory(out: Path, *, commands: str = FREE, events: str = FREE, more: str = "") -> Iterator[DemoLab]:
     """Start rig and daemon; at the end, however it comes, the table is at rest and both processes are gone.
 
     Parameters
     ----------
     out
         Folder for the rig file, the daemon's folder ``daemon`` and the log ``daemon.log``.
+    commands, events
+        Where the daemon listens; free ports by default.
+    more
+        Further sections of the rig file.
 
     Raises
     ------
@@ -110,8 +116,9 @@ def laboratory(out: Path) -> Iterator[DemoLab]:
     with contextlib.ExitStack() as stack:
         rig = _start_rig()
         stack.callback(rig.close)
-        free = "tcp://127.0.0.1:*"
-        config = rig.write_files(out, events=free, commands=free, data="daemon")
+        config = rig.write_files(out, events=events, commands=commands, data="daemon")
+        if more:
+            write_durably(config, config.read_text(encoding="utf-8") + more)
         log = stack.enter_context((out / "daemon.log").open("w", encoding="utf-8"))
         daemon = _start_daemon(config, log)
         stack.callback(_leave_at_rest, rig, daemon, config, log)
