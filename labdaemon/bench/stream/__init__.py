@@ -1,0 +1,1 @@
+"""How events and commands travel: throughput, latency, subscribers that stall, and hostile messages."""
