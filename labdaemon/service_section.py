@@ -59,6 +59,11 @@ class ServiceSection(TomlSection):
         is_off_loopback = address.startswith("tcp://") and not is_loopback(address)
         return is_off_loopback or self.local_operators == "keys"
 
+    @property
+    def restricts_operators(self) -> bool:
+        """Whether not everyone of this machine may command."""
+        return self.local_operators not in {None, "all"}
+
     @field_validator("on_fault")
     @classmethod
     def _a_command(cls, command: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import click
 
-from labdaemon.cli.remote import REPLAY_TIMEOUT_S, address_options, ask
+from labdaemon.cli.remote import REPLAY_TIMEOUT_S, address_options, ask, events_at, key_file
 from labdaemon.errors import UsageError
 from labdaemon.stream.client import Client
 
@@ -96,7 +96,7 @@ def bluesky(
 def _client(address: str) -> Client:
     """Connected to a daemon that answers now; later it may go and come."""
     events = ask(address, "rig")["service"]["events"]
-    return Client(address, events, timeout_s=REPLAY_TIMEOUT_S)
+    return Client(address, events_at(events, address), timeout_s=REPLAY_TIMEOUT_S, key=key_file())
 
 
 def _need(module: str, extra: str) -> None:

@@ -252,7 +252,11 @@ def _check_files(rig: RigConfig) -> None:
 
 
 def _check_servers(rig: RigConfig) -> None:
-    """Refuse servers that could not serve: a token that others read, and a package that is not installed."""
+    """Refuse servers that could not serve: a token that others read, or that is missing; a package that is."""
+    if rig.gateway is not None and rig.gateway.token_file is None and rig.service.restricts_operators:
+        policy = rig.service.local_operators
+        message = f"local_operators = {policy}, and this port is open to all of this machine; name a token_file"
+        raise ConfigError(message, source=rig.source, key="gateway")
     named = [("gateway.token_file", rig.gateway.token_file if rig.gateway else None)]
     if rig.web is not None:
         named += [("web.token_file", rig.web.token_file), ("web.observer_token_file", rig.web.observer_token_file)]

@@ -109,7 +109,7 @@ class SideServers:
             hosts=LOOPBACK_NAMES | {section.host} | {name.lower() for name in section.hosts},
             operator=self._token(section.token_file, "web.token_file"),
             observer=self._token(section.observer_token_file, "web.observer_token_file"),
-            is_open=section.is_loopback,
+            is_open=section.is_loopback and not self._config.service.restricts_operators,
         )
         server: WebServer = module.WebServer(section.address, self._execute, self._journal, access)
         return server

@@ -11,7 +11,7 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp
@@ -100,7 +100,7 @@ def make_app(context: WebContext, pages: Sequence[BaseRoute] = ()) -> ASGIApp:
         Route("/rpc", _rpc(context), methods=["POST"]),
         *pages,
     ]
-    app = Starlette(routes=routes, exception_handlers={HTTPException: _refuse, Exception: _fail})
+    app = Starlette(routes=routes, exception_handlers=HANDLERS)
     return RequestGuard(app, context.access, context.peers)
 
 
@@ -253,6 +253,18 @@ async def _refuse(request: Request, exc: Exception) -> Response:
     return PlainTextResponse(f"{exc.detail}\n", exc.status_code, headers=exc.headers)
 
 
+async def _leave(request: Request, exc: Exception) -> Response:
+    """The client has left in the middle of its request; this answer reaches no one."""
+    return Response(status_code=400)
+
+
 async def _fail(request: Request, exc: Exception) -> Response:
     log.error("%s failed", request.url.path[:80], exc_info=exc)
     return PlainTextResponse("the daemon failed; see its log\n", 500)
+
+
+HANDLERS: dict[Any, Callable[[Request, Exception], Awaitable[Response]]] = {
+    HTTPException: _refuse,
+    ClientDisconnect: _leave,
+    Exception: _fail,
+}

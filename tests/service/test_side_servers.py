@@ -95,6 +95,7 @@ def capture_by_text(address: str) -> str:
         ('[gateway]\ntoken_file = "short"', "openssl"),
         ("[gateway]\ntoken = 1", "unknown key|token"),
         ('[web]\nhosts = ["a b"]', "hosts"),
+        ("[gateway]\n", "local_operators = keys"),
     ],
 )
 def test_sections_that_are_refused(config: Path, section: str, wrong: str):
@@ -102,6 +103,8 @@ def test_sections_that_are_refused(config: Path, section: str, wrong: str):
     (config.parent / "short").write_text("secret\n")
     (config.parent / "short").chmod(0o600)
     add_sections(config, f"\n{section}\n")
+    if "local_operators" in wrong:
+        config.write_text(config.read_text().replace("[service]\n", '[service]\nlocal_operators = "keys"\n'))
     with pytest.raises(ConfigError, match=wrong):
         load_rig(config)
 

@@ -204,6 +204,20 @@ async def test_two_lengths_are_not_read_in_two_ways(serve, raw, daemon: FakeDaem
     assert [method for method, _, _ in daemon.asked] in ([], ["status"], ["status", "rig"])
 
 
+async def test_a_client_that_leaves_in_mid_request_is_no_failure(serve, ask, bearer, caplog, daemon: FakeDaemon):
+    server = serve()
+    head = "POST /rpc HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\n"
+    _, writer = await asyncio.open_connection("127.0.0.1", int(server.address.rpartition(":")[2]))
+    writer.write(f"{head}Authorization: {bearer['Authorization']}\r\n\r\n{{".encode())
+    await writer.drain()
+    assert (await ask(server, "/status")).status == 200
+    writer.transport.abort()
+    for _ in range(3):
+        assert (await ask(server, "/status")).status == 200
+    assert "failed" not in caplog.text
+    assert set(daemon.methods()) == {"status"}
+
+
 async def test_pipelined_requests_are_answered_in_order(serve, raw):
     one = b"GET /status HTTP/1.1\r\nHost: localhost\r\n\r\n"
     last = one.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n")

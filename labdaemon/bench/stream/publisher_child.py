@@ -24,7 +24,7 @@ from labdaemon.stream.publisher import EventPublisher
 from labdaemon.stream.sockets import EVENTS_HIGH_WATER
 
 TARGETS = 360
-GREETING_S = 0.02
+GREETING_MS = 20
 GO = "go\n"
 
 
@@ -75,7 +75,7 @@ def send_bare(count: int) -> None:
         print(f"tcp://127.0.0.1:{port}", flush=True)
         poller = zmq.Poller()
         poller.register(sys.stdin.fileno(), zmq.POLLIN)
-        while not poller.poll(GREETING_S * 1000):
+        while not poller.poll(GREETING_MS):
             socket.send_multipart([b"status", b"{}"])
         while line := sys.stdin.readline():
             print(used(), flush=True)
