@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from labdaemon.campaign import steps
 from labdaemon.campaign.steps import OnFault
@@ -77,6 +77,18 @@ class Spacing(TomlSection):
         return (self.start, *inner[1:-1], self.stop)
 
 
+def _phases_differ(phases: tuple[float, ...]) -> tuple[float, ...]:
+    turns = sorted(phase % (2 * math.pi) for phase in phases)
+    gaps = [after - before for before, after in itertools.pairwise([*turns, turns[0] + 2 * math.pi])]
+    if len(turns) > 1 and min(gaps) < 1e-3:
+        raise ValueError("two of the phases are the same")
+    return phases
+
+
+Phases = Annotated[tuple[Phase, ...], Field(min_length=1, max_length=16), AfterValidator(_phases_differ)]
+"""Excitation phases of a group of captures, no two the same."""
+
+
 class PhaseSection(TomlSection):
     """What every phase may say."""
 
@@ -114,7 +126,7 @@ class ShakingPhase(PhaseSection):
 
     captures: Captures = 1
     exposure_s: Exposure = 1.0
-    phase_rad: Annotated[tuple[Phase, ...], Field(min_length=1, max_length=16)] | None = None
+    phase_rad: Phases | None = None
     """Excitation phases at which to open, one capture at each, measured jointly."""
     settle: SettleSection = SettleSection()
     light: Light | None = None
@@ -125,16 +137,6 @@ class ShakingPhase(PhaseSection):
     """Largest semi-amplitude that is expected on the structure, to predict with; the table's by default."""
     both_directions: bool = False
     """Take the frequencies up and then down again (a nonlinear structure answers differently)."""
-
-    @field_validator("phase_rad")
-    @classmethod
-    def _phases_differ(cls, phases: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if phases is not None:
-            turns = sorted(phase % (2 * math.pi) for phase in phases)
-            gaps = [after - before for before, after in itertools.pairwise([*turns, turns[0] + 2 * math.pi])]
-            if len(turns) > 1 and min(gaps) < 1e-3:
-                raise ValueError("two of the phases are the same")
-        return phases
 
     @field_validator("light")
     @classmethod
@@ -229,6 +231,8 @@ class ExternalPhase(PhaseSection):
     frequency_hz: PositiveHz | None = None
     amplitude_mm: Amplitude | None = None
     """What the outside system does, if it is known."""
+    phase_rad: Phases | None = None
+    """Excitation phases at which it opens, one release at each in this order, measured jointly."""
 
 
 class PausePhase(PhaseSection):

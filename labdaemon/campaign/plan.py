@@ -161,13 +161,20 @@ class _Planner:
                 phase.every_s,
             )
         elif isinstance(phase, ExternalPhase):
-            shot = self.shot(place, phase.exposure_s, phase.frequency_hz)
-            shots = (shot,) * phase.captures
-            yield _Draft(self.step(place, phase, phase.frequency_hz, phase.amplitude_mm, shots, hold_s=phase.wait_s))
+            yield from self.external(place, phase)
         elif isinstance(phase, PausePhase):
             yield _Draft(self.step(place, phase, None, None, (), hold_s=phase.duration_s or 0.0))
         else:
             yield from self.shaking(place, phase)
+
+    def external(self, place: int, phase: ExternalPhase) -> Iterator[_Draft]:
+        """Captures that others fire: one step for all, or one for each group at several phases."""
+        shot = self.shot(place, phase.exposure_s, phase.frequency_hz, half_cycles=phase.phase_rad is not None)
+        groups = [(shot,) * phase.captures]
+        if phase.phase_rad is not None:
+            groups = [tuple(replace(shot, phase_rad=phase_rad) for phase_rad in phase.phase_rad)] * phase.captures
+        for shots in groups:
+            yield _Draft(self.step(place, phase, phase.frequency_hz, phase.amplitude_mm, shots, hold_s=phase.wait_s))
 
     def shaking(self, place: int, phase: StepsPhase | SweepPhase | DwellPhase) -> Iterator[_Draft]:
         """Steps that set the shaker: up, and down again if both directions are asked for."""

@@ -131,7 +131,8 @@ class StepRunner:
             exposure_s=shot.exposure_s,
             cameras=tuple(self.context.rig.cameras),
             excitation=excitation,
-            trigger_phase_rad=shot.phase_rad,
+            trigger_phase_rad=None if step.kind == "external" else shot.phase_rad,
+            stated_phase_rad=shot.phase_rad if step.kind == "external" else None,
             light=shot.light,
         )
 

@@ -647,6 +647,32 @@ def test_the_papers_own_wiring_files_that_arrive_are_captures(simulate):
     simulate(scenario, has_trigger=False)
 
 
+def test_phases_that_an_outside_system_states_are_its_captures_and_group_them(simulate):
+    async def scenario(lab: FakeLab):
+        stated = "exposure_s = 1.0\nfrequency_hz = 7.0\namplitude_mm = 0.5\nphase_rad = [0.0, 1.5]\n"
+        toml = (
+            EXTERNAL.format(on_fault="pause")
+            .replace("captures = 3", "captures = 1")
+            .replace("exposure_s = 1.0\n", stated)
+        )
+        id = await lab.submit(toml)
+        while lab.engine.step is None or lab.engine.step.kind != "external":
+            await lab.clock.sleep(1.0)
+        for _ in range(2):
+            await lab.clock.sleep(30.0)
+            lab.fake.trigger.edge(1.0)
+        assert (await lab.until(id)).state == "completed"
+        captures = records.captures(lab.journal, id, "measured")
+        assert [(one.frequency_hz, one.amplitude_mm, one.phase_rad) for one in captures] == [
+            (7.0, 0.5, 0.0),
+            (7.0, 0.5, 1.5),
+        ]
+        assert len({one.grouped for one in captures}) == 1
+        assert len(envelopes(lab)) == 1
+
+    simulate(scenario)
+
+
 def test_an_outside_system_fires_through_the_box_which_sees_the_phase(simulate):
     async def scenario(lab: FakeLab):
         toml = EXTERNAL.format(on_fault="pause").replace("exposure_s = 1.0", "exposure_s = 1.0\nfrequency_hz = 7.0", 1)

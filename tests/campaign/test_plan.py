@@ -137,6 +137,15 @@ def test_dwell_external_and_pause() -> None:
     assert wait.hold_s == 0
 
 
+def test_an_outside_system_may_open_at_phases_that_it_states() -> None:
+    text = '[[phase]]\nkind = "external"\nfrequency_hz = 5\ncaptures = 2\nphase_rad = [0.0, 1.5708]\nlabel = "vc"\n'
+    groups = plan(SHARP + text, NO_SHAKER).steps[1:]
+    assert [[shot.phase_rad for shot in step.shots] for step in groups] == [[0.0, 1.5708]] * 2
+    assert [step.grouped for step in groups] == [True, True]
+    with pytest.raises(ConfigError, match="two of the phases are the same"):
+        plan(SHARP + text.replace("1.5708", "6.2831853"), NO_SHAKER)
+
+
 def test_labels_are_unique_and_sort_in_order() -> None:
     made = plan(SHARP + steps_phase("repeats = 12\nlabel = 'night'"))
     labels = [step.label for step in made.steps]
