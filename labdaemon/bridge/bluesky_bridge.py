@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,10 @@ from labdaemon.errors import UsageError
 Serializer: TypeAlias = Literal["pickle", "json"]
 HIGH_WATER = 100_000
 LINGER_MS = 2000
+MAX_BYTES = 1024
+"""Of a message from a dispatcher; a subscription is some bytes. A peer that sends more is hung up on."""
+SUBSCRIPTION = b"\x01"
+READ_AT_A_TIME = 100
 SERIALIZERS: dict[Serializer, Callable[[Any], bytes]] = {
     "pickle": pickle.dumps,  # what a dispatcher expects unless it is given another deserializer
     "json": lambda document: json.dumps(document).encode(),
@@ -49,6 +54,7 @@ class DocumentPublisher:
         self._socket = self._context.socket(zmq.XPUB)
         self._socket.set(zmq.SNDHWM, HIGH_WATER)
         self._socket.set(zmq.LINGER, LINGER_MS)
+        self._socket.set(zmq.MAXMSGSIZE, MAX_BYTES)
         try:
             if is_proxy:
                 self._socket.connect(address)
@@ -66,16 +72,20 @@ class DocumentPublisher:
         self._context.destroy()
 
     def wait_for_subscriber(self, timeout_s: float | None = None) -> bool:
-        """Wait for the first one: what is published before it has subscribed is lost."""
-        if not self._socket.poll(None if timeout_s is None else round(timeout_s * 1000)):
-            return False
-        self._socket.recv()
-        return True
+        """Wait for the first one: what is published before it has subscribed is lost. Other messages are none."""
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while end_s is None or time.monotonic() <= end_s:
+            left_ms = None if end_s is None else max(round((end_s - time.monotonic()) * 1000), 0)
+            if self._socket.poll(left_ms) and self._socket.recv()[:1] == SUBSCRIPTION:
+                return True
+        return False
 
     def publish(self, document: Document) -> None:
         """Send one document."""
-        while self._socket.poll(0):
-            self._socket.recv()  # further subscriptions
+        for _ in range(READ_AT_A_TIME):  # further subscriptions, or whatever a peer sends
+            if not self._socket.poll(0):
+                break
+            self._socket.recv()
         name, content = document
         self._socket.send(b" ".join([b"", name.encode(), self._serialize(content)]))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -154,3 +155,24 @@ def test_a_subscriber_gets_all_from_the_first_on(serializer: Any, loads: Any):
             prefix, name, content = subscriber.recv().split(b" ", 2)
             assert (prefix, name, loads(content)["uid"]) == (b"", b"start", str(number))
         subscriber.close(linger=0)
+
+
+def test_bytes_of_scanners_and_messages_of_peers_are_no_subscribers():
+    with DocumentPublisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
+        host, _, port = publisher.address.removeprefix("tcp://").rpartition(":")
+        for data in (b"GET / HTTP/1.1\r\n\r\n", b" \x80abc ", b"\xff" * 200):
+            with socket.create_connection((host, int(port)), timeout=10) as scanner:
+                scanner.sendall(data)
+        peer = context.socket(zmq.XSUB)
+        peer.connect(publisher.address)
+        for message in (b"\x02 start abc", b"", b"\x00x"):
+            peer.send(message)
+        assert not publisher.wait_for_subscriber(0.3)
+        peer.send(b"\x01")
+        assert publisher.wait_for_subscriber(20.0)
+        for message in (b"x" * 900, b"\x01more"):
+            peer.send(message)
+        publisher.publish(("start", {"uid": "1"}))
+        assert peer.poll(20_000)
+        assert pickle.loads(peer.recv().split(b" ", 2)[2]) == {"uid": "1"}
+        peer.close(linger=0)

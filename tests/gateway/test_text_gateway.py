@@ -216,6 +216,17 @@ async def test_who_does_not_read_loses_the_connection(serve, connect, daemon: Fa
     assert (await other.ask("STAT?")).startswith("IDLE")
 
 
+async def test_lines_that_come_in_one_segment_or_byte_by_byte_are_all_answered(serve, connect):
+    client = await connect(serve())
+    client.writer.write(b"*CLS\n*ESR?\r\n\n *IDN? \n")
+    assert [await client.answer() for _ in range(2)] == ["0", "labdaemon,sim,1,0"]
+    for byte in b"SYST:ERR?\n":
+        client.writer.write(bytes([byte]))
+        await client.writer.drain()
+        await asyncio.sleep(0)
+    assert await client.answer() == '0,"No error"'
+
+
 async def test_many_connections_are_bounded_and_idle_ones_give_way(serve, connect, monkeypatch, caplog):
     monkeypatch.setattr(text_gateway, "MOST_CLIENTS", 3)
     gateway = serve()

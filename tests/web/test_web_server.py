@@ -323,6 +323,17 @@ async def test_streams_are_bounded_and_end_with_the_server(serve, ask, listen, m
             assert await source.reader.read() == b""
 
 
+async def test_a_stream_whose_client_has_left_ends(serve, listen):
+    server = serve()
+    source = await listen(server, "/events")
+    await source.next()
+    assert server._context.streams == 1
+    source.writer.transport.abort()
+    async with asyncio.timeout(20.0):
+        while server._context.streams:
+            await asyncio.sleep(0.005)
+
+
 async def test_silent_and_slow_clients_lose_their_place(serve, ask, monkeypatch, caplog, daemon: FakeDaemon):
     monkeypatch.setattr(http_protocol, "REQUEST_S", 0.2)
     monkeypatch.setattr(http_protocol, "READS_S", 0.2)
