@@ -10,9 +10,10 @@ from typing import Literal
 
 import click
 
-from labdaemon.cli.remote import REPLAY_TIMEOUT_S, address_options, ask, events_at, key_file
+from labdaemon.cli.remote import REPLAY_TIMEOUT_S, address_options, ask, key_file
 from labdaemon.errors import UsageError
 from labdaemon.stream.client import Client
+from labdaemon.stream.client_sockets import events_at
 
 
 @click.group()
