@@ -82,11 +82,12 @@ def _demo(out: Path, text: str, *, attended: bool) -> None:
     from labdaemon.cli.demo_lab import laboratory
     from labdaemon.cli.demo_results import check_same_numbers, draw_overlays, link_folder, truth_of, write_truth
     from labdaemon.report.folder_page import report_folder
+    from labdaemon.report.signed_accuracy import compare_signed, signed_lines
 
     began = time.monotonic()
     click.echo(f"Starting the simulated rig and the daemon in {out} …")
     with laboratory(out) as lab:
-        folder, envelopes = _run_campaign(lab, text, attended=attended)
+        folder, envelopes, coded = _run_campaign(lab, text, attended=attended)
         records = lab.rig.truth()
     truth = truth_of(envelopes, records)
     rows = check_same_numbers(envelopes, folder / "results")
@@ -97,18 +98,30 @@ def _demo(out: Path, text: str, *, attended: bool) -> None:
         folder, title=f"Campaign {folder.name}", subtitle="labdaemon demo on the simulated rig", truth=truth
     )
     click.echo(f"\nEnvelopes as received and as stored agree in all of {rows} targets.")
-    for line in accuracy_lines(accuracies):
+    signed = [
+        compare_signed(one["capture"], one["targets"], truth[one["capture"]])
+        for one in envelopes
+        if one["capture"] in coded
+    ]
+    for line in (*accuracy_lines(accuracies), *signed_lines(signed)):
         click.echo(line)
     click.echo(f"\nResults  {out / 'results'}\nReport   {out / 'results' / 'index.html'}")
     click.echo(f"Took     {time.monotonic() - began:.0f} s")
 
 
-def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, list[dict[str, Any]]]:
-    """Submit it and follow it to its end; its folder, and the data of its envelopes."""
+def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, list[dict[str, Any]], set[str]]:
+    """Submit it and follow it to its end.
+
+    Returns
+    -------
+    folder, envelopes, coded
+        Its folder, the data of its envelopes, and the names of those that were taken under coded light.
+    """
     from labdaemon.cli.demo_lab import DemoFailed
     from labdaemon.cli.progress import Progress
 
     envelopes: list[dict[str, Any]] = []
+    coded: set[str] = set()
     submitted = lab.client.call("campaign.submit", toml=text)
     with Progress() as progress:
         for event in lab.events():
@@ -118,6 +131,8 @@ def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, lis
             match event["kind"]:
                 case "envelope":
                     envelopes.append(event["data"])
+                case "capture.completed" if event["data"].get("light"):
+                    coded.add(event["data"].get("group") or event["data"]["capture"])
                 case "campaign.completed":
                     break
                 case "campaign.paused" if attended:
@@ -126,7 +141,7 @@ def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, lis
                     raise DemoFailed(f"{event['kind']}: {event['data'].get('reason') or 'the log may tell why'}")
     if not envelopes:
         raise DemoFailed("the campaign completed without a single envelope")
-    return Path(submitted["folder"]), envelopes
+    return Path(submitted["folder"]), envelopes, coded
 
 
 def end_on_signals() -> None:
