@@ -238,7 +238,7 @@ class TriggerBox:
         except DeviceRefused:
             self._lamp.disarm()
             raise
-        self._lamp.fired(shot.number)
+        self._lamp.fired(shot.number, exposure_s)
         return self._firing(shot, frequency_hz)
 
     def read_played(self, timeout_s: float) -> PlayedLight:

@@ -16,6 +16,8 @@ SD_EDGE_S = 3e-6
 """Standard deviation of the lamp's edges against the sync: two inputs and one output of a 4 µs clock."""
 PERIOD_WITHIN = 0.01
 """A code whose period differs by more than this, relative, from the excitation's was timed by something else."""
+BRIGHT_AGAIN_S = 0.15
+"""The constant light has returned so long after the shutters have closed, and the lamp has risen."""
 MOST_CYCLES, MOST_SECTORS = 65535, 64
 
 
@@ -41,6 +43,7 @@ class LampControl:
         self._name, self._exchange = name, exchange
         self._levels: int | None = None
         self._playing: _ArmedLight | None = None
+        self._bright_s = 0.0
 
     def forget(self) -> None:
         """The box was connected to anew."""
@@ -56,6 +59,7 @@ class LampControl:
         """
         if not 0 <= level <= 1:
             raise UsageError(f"a lamp has no brightness {level}; give 0 to 1")
+        self.wait_bright()
         self._ask(f"LAMP {round(level * FULL_LEVEL)}")
 
     def arm(self, light: LightRequest, exposure_s: float, frequency_hz: float) -> None:
@@ -66,6 +70,8 @@ class LampControl:
         DeviceRefused
             It does not; the message says why.
         """
+        if self._playing is None:
+            self.wait_bright()
         self._playing = None
         shown = self._shown(light)
         if not 1 <= light.cycles <= MOST_CYCLES:
@@ -94,10 +100,15 @@ class LampControl:
         self._playing = None
         self._ask("CODE 0")
 
-    def fired(self, shot: int) -> None:
-        """The shot that the code is played with."""
+    def fired(self, shot: int, exposure_s: float) -> None:
+        """The shot that the code is played with; its shutters have just opened."""
+        self._bright_s = time.monotonic() + exposure_s + BRIGHT_AGAIN_S
         if self._playing is not None:
             self._playing = _ArmedLight(self._playing.request, self._playing.frequency_hz, shot)
+
+    def wait_bright(self) -> None:
+        """Wait until the constant light has returned after a code: before that the box takes no shot."""
+        time.sleep(max(0.0, self._bright_s - time.monotonic()))
 
     def read_played(self, timeout_s: float) -> PlayedLight:
         """What was played with the last shot.
@@ -171,7 +182,8 @@ class LampControl:
             if "UNKNOWN" not in str(exc):
                 raise
             raise DeviceError(
-                "does not know the light code of this shot any more: it has restarted meanwhile", device=self._name
+                "knows no light code of this shot: it has restarted meanwhile, or another shot took the code",
+                device=self._name,
             ) from None
         try:
             if len(words) != 7 or words[1] not in ("WAIT", "PLAY", "DONE", "CUT"):
@@ -202,7 +214,10 @@ class LampControl:
 def _why(state: str, start: int | None) -> str:
     match state, start:
         case "CUT", None:
-            return "no sync, a contact that did not close, or too little time left in the exposure"
+            return (
+                "no sync, a contact that did not close, or too little time in which all shutters were open: raise "
+                "margin_s of [lamp] to the difference of the bodies' lags"
+            )
         case "CUT", _:
             return "the excitation's sync was lost or changed"
         case _:

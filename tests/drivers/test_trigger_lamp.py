@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ def slow(rig: SimulatedRig) -> SimulatedRig:
 
 def fire(trigger: TriggerBox, code: tuple[float, ...] = SEVEN, cycles: int = 4, phase_rad: float = 0.0):
     firing = trigger.fire_coded(EXPOSURE_S, LightRequest(code, cycles, phase_rad), frequency_hz=12.0)
-    return firing, trigger.read_played(3.0)
+    return firing, trigger.read_played(30.0)
 
 
 def test_a_code_follows_the_excitation_inside_the_open_shutters(slow, trigger, shaker):
@@ -66,7 +65,7 @@ def test_a_code_follows_the_excitation_inside_the_open_shutters(slow, trigger, s
 def test_the_frame_was_lit_by_the_code(slow, trigger, shaker, camera):
     shaker.set(12.0, 0.1)
     _, played = fire(trigger)
-    assert camera.wait_file(5) is not None
+    assert camera.wait_file(60) is not None
     record = next(record for record in slow.rig.records if record["camera"] == "left")
     opened, exposure = record["opened_s"], record["exposure_s"]
     play = slow.rig._lamp.play(opened, opened + exposure, 0.0, 0.0)
@@ -86,8 +85,10 @@ def test_constant_light_before_and_after(slow, trigger, shaker, eventually):
     trigger.set_lamp(0.5)
     assert slow.rig._lamp.levels[-1] == pytest.approx(128 / 255)
     fire(trigger)
-    assert slow.rig._lamp.levels[-1] == 0.0
-    assert eventually(lambda: slow.rig._lamp.levels[-1] == pytest.approx(128 / 255), 3.0)
+    assert eventually(lambda: not slow.lamp.is_busy(), 30.0)
+    levels = slow.rig._lamp.levels
+    assert levels[0] == levels[-1] == pytest.approx(128 / 255)
+    assert levels[1] == levels[-2] == 0.0
     with pytest.raises(UsageError):
         trigger.set_lamp(1.5)
 
@@ -169,8 +170,42 @@ def test_a_box_that_restarts_while_it_plays_is_noticed(slow, trigger, shaker):
     trigger.fire_coded(EXPOSURE_S, LightRequest(SEVEN, 4), frequency_hz=12.0)
     slow.trigger.faults.inject("reboots", count=1)
     with pytest.raises(DeviceError, match="restarted meanwhile"):
-        trigger.read_played(3.0)
+        trigger.read_played(30.0)
     assert slow.rig._lamp.levels[-1] == 1.0  # and the light is back on
+
+
+def test_a_shot_right_after_a_code_waits_for_the_light(slow, trigger, shaker):
+    """A light that has not settled when the next shutter opens leaves an image that is lit unevenly."""
+    shaker.set(12.0, 0.1)
+    for _ in range(2):
+        fire(trigger)
+    trigger.set_lamp(1.0)
+    begin = slow.clock()
+    firing = trigger.fire(0.01)
+    assert firing.opening_s
+    assert slow.rig._lamp.levels[-1] == 1.0
+    assert slow.rig._lamp.times_s[-1] < begin
+    assert slow.trigger._last_shot == 3
+
+
+def test_bodies_that_open_far_apart_are_named_with_the_key_that_helps(slow, trigger, shaker):
+    """Lags of 62 and 153 ms: what both shutters see is 90 ms shorter than the exposure."""
+    shaker.set(12.0, 0.1)
+    slow.bus.cameras["right"].body._exposer.lag_s += 0.09
+    assert fire(trigger, cycles=4)[1].cycles == 4
+    with pytest.raises(DeviceError, match="raise margin_s"):
+        fire(trigger, cycles=5)
+
+
+def test_a_code_that_another_shot_took_is_not_credited_to_ours(slow, trigger, shaker, eventually):
+    shaker.set(12.0, 0.1)
+    trigger.wait(0.0)
+    trigger._lamp.arm(LightRequest(SEVEN, 4), EXPOSURE_S, 12.0)
+    slow.trigger.external_edge()
+    assert eventually(lambda: bool(slow.lamp.plays) and not slow.lamp.is_busy(), 30.0)
+    trigger._lamp.fired(trigger._release("FIRE 500000", 30.0).number, EXPOSURE_S)
+    with pytest.raises(DeviceError, match="another shot took the code"):
+        trigger.read_played(30.0)
 
 
 def test_a_second_code_while_one_is_played_is_refused(slow, trigger, shaker):
@@ -195,7 +230,7 @@ def test_the_enable_line_does_not_notice_a_code(spec, tmp_path, make_shaker):
         camera.body.settings.set(Prop.EXPOSURE_TIME, 5000)
     set_default_rig(wired)
     try:
-        box = TriggerBox("trigger", {"port": "sim://trigger", "hold_enable_ms": 300})
+        box = TriggerBox("trigger", {"port": "sim://trigger", "hold_enable_ms": 4000})
         box.connect()
         shaker = make_shaker()
         box.raise_enable()
@@ -215,16 +250,12 @@ def test_the_enable_line_does_not_notice_a_code(spec, tmp_path, make_shaker):
             beats.join()
         assert wired.trigger.enable_up
         # Dropped in the middle of a code it falls at once.
-        time.sleep(0.4)
-        box.raise_enable()
-        shaker.stop_now()
-        shaker.set(12.0, 0.1)
         box.heartbeat()
         box.fire_coded(EXPOSURE_S, LightRequest(SEVEN, 4), frequency_hz=12.0)
         box.drop_enable()
         assert not wired.trigger.enable_up
         with pytest.raises(DeviceError):
-            box.read_played(3.0)
+            box.read_played(30.0)
         box.close()
     finally:
         set_default_rig(None)

@@ -161,6 +161,8 @@ class TriggerDevice(WireDevice):
             self._restart()
             return
         with self._state:
+            if self.lamp is not None:  # the chip's timers do not wait for a thread of this computer
+                self.lamp.advance(self._clock(), self._sync)
             if (sequence, text) == self._served[:2] and text != "ID":
                 reply = self._served[2]
             else:
