@@ -4,7 +4,7 @@
 >>> motion = ld.measure("sharp.nef", "blurred.nef")     # doctest: +SKIP
 >>> result = ld.process("FOLDER")                       # doctest: +SKIP
 >>> with ld.Client() as lab:                            # doctest: +SKIP
-...     lab.call("capture", label="first")
+...     lab.capture(label="first")
 
 Names are imported when they are used, so that a command such as ``labdaemon stop`` starts at once.
 """
@@ -33,11 +33,13 @@ if TYPE_CHECKING:
     from labdaemon.events import parse_event as parse_event
     from labdaemon.flags import Flag as Flag
     from labdaemon.imaging import RawFrame as RawFrame
+    from labdaemon.stream.async_client import AsyncClient as AsyncClient
     from labdaemon.stream.client import Client as Client
 
 __version__ = "0.2.0"
 
 _HOME = {
+    "AsyncClient": "labdaemon.stream.async_client",
     "Client": "labdaemon.stream.client",
     "Envelope": "labdaemon.envelope",
     "Event": "labdaemon.events",
@@ -58,6 +60,7 @@ _HOME = {
 """Public name -> the module that has it."""
 
 __all__ = [
+    "AsyncClient",
     "Client",
     "Envelope",
     "Event",

@@ -22,6 +22,7 @@ from labdaemon.orbit_size import semi_major_axis
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 FloatArray = NDArray[np.float64]
 
@@ -183,6 +184,32 @@ class Envelope(NamedSequence[TargetEnvelope]):
         table = pd.DataFrame(self.to_array())
         table.insert(0, "capture", self.capture)
         return table
+
+    def to_xarray(self) -> xr.Dataset:
+        """The same as an xarray dataset over ``target``, with what is known of the capture as attributes.
+
+        Raises
+        ------
+        UsageError
+            xarray is not installed.
+        """
+        try:
+            import xarray as xr
+        except ImportError:
+            raise UsageError("xarray is not installed; run: pip install 'labdaemon[analysis]'") from None
+        records = self.to_array()
+        names = [name for name in records.dtype.names or () if name != "target"]
+        about = {
+            "capture": self.capture,
+            "frequency_hz": self.frequency_hz,
+            "excitation_amplitude_mm": self.excitation_amplitude_mm,
+            "exposure_s": self.exposure_s,
+        }
+        return xr.Dataset(
+            {name: ("target", records[name]) for name in names},
+            coords={"target": records["target"]},
+            attrs={name: value for name, value in about.items() if value is not None},
+        )
 
     @classmethod
     def from_event(cls, data: Mapping[str, Any]) -> Envelope:

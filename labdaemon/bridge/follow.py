@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-from labdaemon.stream.client import Client, EventStream, JournalChanged, NoDaemon
+from labdaemon.stream.client import Client, EventStream, HistoryCut, JournalChanged, NoDaemon
 
 SILENT_S = 3.5
 """A daemon whose heartbeat has been missing for so long is reported as silent."""
@@ -42,7 +42,7 @@ def follow_events(client: Client, place: Place | None) -> Generator[dict[str, An
         while True:
             try:
                 event = stream.receive(SLICE_S)
-            except (JournalChanged, NoDaemon):
+            except (JournalChanged, HistoryCut, NoDaemon):
                 continue  # the new history begins with the next call; a gap is asked for again
             if event is not None:
                 heard_s = time.monotonic()

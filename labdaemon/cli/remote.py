@@ -15,7 +15,7 @@ from uuid import uuid4
 import click
 
 from labdaemon.errors import UsageError
-from labdaemon.stream.client import COMMANDS, Client, EventStream, JournalChanged, NoDaemon
+from labdaemon.stream.client import COMMANDS, Client, EventStream, HistoryCut, JournalChanged, NoDaemon
 from labdaemon.stream.client_sockets import events_at
 from labdaemon.stream.messages import ForbiddenError
 
@@ -228,7 +228,7 @@ def _follow(client: Client, after: int | None, patience_s: float) -> Generator[d
         while True:
             try:
                 event = stream.receive(1.0)
-            except JournalChanged as exc:
+            except (JournalChanged, HistoryCut) as exc:
                 click.echo(f"labdaemon: {exc}", err=True)
                 continue
             except NoDaemon:  # it went away between an event and the replay of those before it

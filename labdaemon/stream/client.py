@@ -1,7 +1,7 @@
 """A small client for other programs: commands as calls, events in order with nothing missing.
 
 >>> with Client() as lab:                                        # doctest: +SKIP
-...     campaign = lab.call("campaign.submit", toml=text)["campaign"]
+...     campaign = lab.submit(text).campaign
 ...     for event in lab.typed_events():
 ...         if event.kind == "envelope":
 ...             print(event.data.capture, len(event.data.targets))
@@ -12,68 +12,53 @@
 from __future__ import annotations
 
 import json
+import logging
 import secrets
 import time
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import zmq
 
-from labdaemon.errors import LabdaemonError
 from labdaemon.stream import messages
+from labdaemon.stream.client_errors import HeartbeatLost, HistoryCut, JournalChanged, NoDaemon, RemoteError
 from labdaemon.stream.client_sockets import client_pair, connect, subscribe
+from labdaemon.stream.event_stream import READY_S, EventStream
 from labdaemon.stream.key_files import KeyPair
+from labdaemon.stream.typed_commands import TypedCommands
 
 if TYPE_CHECKING:
+    from labdaemon.errors import LabdaemonError
     from labdaemon.events import Event
+
+__all__ = [
+    "COMMANDS",
+    "EVENTS",
+    "SILENT_S",
+    "Client",
+    "EventStream",
+    "HeartbeatLost",
+    "HistoryCut",
+    "JournalChanged",
+    "NoDaemon",
+    "RemoteError",
+]
+
+log: logging.Logger = logging.getLogger(__name__)
 
 COMMANDS = "tcp://127.0.0.1:5570"
 EVENTS = "tcp://127.0.0.1:5571"
 """Where a daemon listens unless its rig file says otherwise."""
 SILENT_S = 10.0
 """A daemon whose heartbeat has been missing for so long is gone."""
+LOST_S = 3.0
+"""A heartbeat that has been missing for so long is reported by `Client.follow`, which waits on."""
 
 
-class NoDaemon(LabdaemonError):
-    """No daemon answers at the address."""
-
-    retryable = True
-
-
-class RemoteError(LabdaemonError):
-    """The daemon said no.
-
-    Attributes
-    ----------
-    code, name
-        Of the answer, as -32002 and ``limits``.
-    data
-        What it sent with the error.
-    """
-
-    def __init__(self, error: dict[str, Any]) -> None:
-        self.code: int = int(error.get("code", messages.INTERNAL_ERROR))
-        self.data: dict[str, Any] = dict(error.get("data") or {})
-        self.name: str = str(self.data.get("name", "error"))
-        self.retryable: bool = self.code == messages.BUSY
-        self.exit_status: int = 2 if self.code in {messages.INVALID_PARAMS, messages.LIMITS} else 1
-        super().__init__(str(error.get("message", "the daemon refused")))
-
-
-class JournalChanged(LabdaemonError):
-    """The daemon writes another history than before; the stream continues from that one's beginning."""
-
-    def __init__(self, before: str, now: str) -> None:
-        self.before: str = before
-        self.now: str = now
-        super().__init__(f"the daemon's journal is {now} now, it was {before}: seq starts anew")
-
-
-class Client:
-    """Talks to one daemon. Not for use from several threads at once.
+class Client(TypedCommands):
+    """Talks to one daemon; every command is a method (`TypedCommands`). Not for use from several threads at once.
 
     Parameters
     ----------
@@ -154,29 +139,70 @@ class Client:
 
         Raises
         ------
-        NoDaemon
+        HeartbeatLost
             Nothing came for `timeout_s`, not even the heartbeat.
-        JournalChanged
-            The daemon was started on another journal.
+        JournalChanged, HistoryCut
+            The daemon was started on another journal, or the events asked for are no longer kept. `follow` goes on.
         """
-        stream = EventStream(self, after=after)
-        try:
+        with EventStream(self, after=after) as stream:
             while True:
                 event = stream.receive(timeout_s)
                 if event is None:
-                    raise NoDaemon(
-                        f"no heartbeat from {self.events_address} for {timeout_s:g} s: has the daemon ended?"
-                    )
+                    raise HeartbeatLost(self.events_address, timeout_s)
                 yield event
-        finally:
+
+    def listen(self, *, after: int | None = None, timeout_s: float = READY_S) -> EventStream:
+        """A stream whose subscription is known to be active when this returns: nothing published later is missed.
+
+        Raises
+        ------
+        NoDaemon
+            No sign of the daemon in time.
+        """
+        stream = EventStream(self, after=after)
+        try:
+            stream.wait_ready(timeout_s)
+        except BaseException:
             stream.close()
+            raise
+        return stream
+
+    def follow(
+        self, *, after: int | None = None, report: Callable[[LabdaemonError], object] | None = None
+    ) -> Iterator[dict[str, Any]]:
+        """As `events`, without an end: through silences, restarts of the daemon, other journals and cut history.
+
+        Parameters
+        ----------
+        report
+            Called with each `HeartbeatLost` (once a silence, after 3 s), `JournalChanged` and `HistoryCut`; by default
+            they are logged.
+        """
+        report = report or (lambda trouble: log.warning("%s", trouble))
+        heard_s, is_lost = time.monotonic(), False
+        with EventStream(self, after=after) as stream:
+            while True:
+                try:
+                    event = stream.receive(LOST_S / 6)
+                except (JournalChanged, HistoryCut) as exc:
+                    report(exc)
+                    continue
+                except NoDaemon:
+                    event = None  # it went away between an event and the replay of those before it
+                silent_s = time.monotonic() - heard_s
+                if event is not None:
+                    heard_s, is_lost = time.monotonic(), False
+                    yield event
+                elif silent_s >= LOST_S and not is_lost:
+                    is_lost = True
+                    report(HeartbeatLost(self.events_address, silent_s))
 
     def typed_events(self, *, after: int | None = None, timeout_s: float = SILENT_S) -> Iterator[Event]:
         """The events of `events` as objects of `labdaemon.events`, statuses among them.
 
         Raises
         ------
-        NoDaemon, JournalChanged
+        NoDaemon, JournalChanged, HistoryCut
             As `events`.
         DataError
             An event is not what this version knows under its kind: the daemon is of another version.
@@ -209,83 +235,3 @@ class Client:
         if self._socket is not None:
             self._socket.close(linger=0)
             self._socket = None
-
-
-class EventStream:
-    """The events of a daemon in order: gaps are found by `seq` and filled by ``events.replay``.
-
-    Parameters
-    ----------
-    client
-        Whose addresses it uses, and by whose commands it replays.
-    after
-        Deliver everything after this `seq`; None for what comes from now on.
-    journal
-        The history that `after` belongs to, if known.
-
-    Attributes
-    ----------
-    last
-        `seq` of the last event delivered; None before the first message.
-    journal
-        UUID of the history it follows.
-    """
-
-    def __init__(self, client: Client, *, after: int | None = None, journal: str | None = None) -> None:
-        self.last: int | None = after
-        self.journal: str | None = journal
-        self._client = client
-        self._socket = client.subscribe()
-        self._ready: deque[dict[str, Any]] = deque()
-
-    def receive(self, timeout_s: float) -> dict[str, Any] | None:
-        """The next message, or None when none came in time.
-
-        Raises
-        ------
-        JournalChanged
-            Once for each change; the next call continues from the new history's beginning.
-        NoDaemon
-            A gap could not be filled; the next call tries again.
-        """
-        deadline = time.monotonic() + timeout_s
-        while not self._ready:
-            left_s = deadline - time.monotonic()
-            if left_s <= 0 or not self._socket.poll(int(left_s * 1000) + 1):
-                return None
-            self._take(json.loads(self._socket.recv_multipart()[1]))
-        event = self._ready.popleft()
-        if event["kind"] != "status":
-            self.last = event["seq"]
-        return event
-
-    def close(self) -> None:
-        """End the subscription."""
-        self._socket.close(linger=0)
-
-    def _take(self, message: dict[str, Any]) -> None:
-        """Queue a message, after whatever was missed before it."""
-        journal, seq, is_status = message["journal"], message["seq"], message["kind"] == "status"
-        if self.journal is not None and journal != self.journal:
-            before, self.journal, self.last = self.journal, journal, 0
-            raise JournalChanged(before, journal)
-        self.journal = journal
-        before_it = seq if is_status else seq - 1
-        if self.last is None:
-            self.last = before_it
-        if self.last < before_it:
-            self._replay(before_it)
-        if is_status or seq > self.last:
-            self._ready.append(message)
-
-    def _replay(self, last: int) -> None:
-        """Queue the missed events up to `last`."""
-        seq = self.last or 0
-        missed: list[dict[str, Any]] = []
-        while seq < last:
-            answer = self._client.replay(seq, min(1000, last - seq))
-            if answer["journal"] != self.journal or not answer["events"]:
-                break
-            missed += answer["events"]
-            seq = missed[-1]["seq"]
-        self._ready.extend(missed)

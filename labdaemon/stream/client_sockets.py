@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import zmq
 
@@ -23,7 +23,7 @@ GONE_MS = 6000
 """Of encrypted connections, which may cross networks: how often the other side is asked for a sign of life, and after
 what silence the connection is given up, since a router may forget it without a word."""
 
-AnySocket = TypeVar("AnySocket", bound="zmq.Socket[bytes]")
+AnySocket = TypeVar("AnySocket", bound="zmq.Socket[Any]")
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,7 @@ def serve(tmp_path: Path):
 def test_every_method_of_the_contract_is_there():
     assert set(METHODS) == {
         "status", "rig", "campaign.submit", "campaign.pause", "campaign.resume", "campaign.abort", "capture",
-        "events.replay", "events.latest", "rpc.discover", "stop",
+        "campaign.list", "campaign.show", "campaign.move", "events.replay", "events.latest", "rpc.discover", "stop",
     }  # fmt: skip
 
 
