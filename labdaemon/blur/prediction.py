@@ -125,11 +125,22 @@ def predict_sd(
     if not exposures or not 0 < amplitude_px < np.inf:
         raise UsageError("a prediction needs an exposure, and an amplitude above zero")
     dot = dot or DotImage()
+    vectors = motion_vectors(amplitude_px, phase_rad, direction_rad)
+    information = sum((motion_information(window, vectors, dot) for window in exposures), np.zeros((4, 4)))
+    return sd_of_information(information, amplitude_px, phase_rad, direction_rad=direction_rad)
+
+
+def motion_vectors(amplitude_px: float, phase_rad: float, direction_rad: float = 0.5) -> FloatArray:
+    """(4,) ax, ay, bx, by of the motion A·u·sin(ωt + ψ)."""
+    return amplitude_px * _motion_axes(phase_rad, direction_rad)[:, 0]
+
+
+def _motion_axes(phase_rad: float, direction_rad: float) -> FloatArray:
+    """(4, 4) columns: amplitude, phase (times A), direction (times A), minor axis; rows: ax, ay, bx, by."""
     along = np.array([np.cos(direction_rad), np.sin(direction_rad)])
     across = np.array([-along[1], along[0]])
     sine, cosine = np.cos(phase_rad), np.sin(phase_rad)  # of A sin(ωt + ψ) = A cos ψ · sin ωt + A sin ψ · cos ωt
-    # Columns: amplitude, phase (times A), direction (times A), minor axis; rows: ax, ay, bx, by.
-    turn = np.stack(
+    return np.stack(
         [
             np.concatenate((sine * along, cosine * along)),
             np.concatenate((-cosine * along, sine * along)),
@@ -138,8 +149,13 @@ def predict_sd(
         ],
         axis=1,
     )
-    vectors = amplitude_px * turn[:, 0]
-    information = sum((motion_information(window, vectors, dot) for window in exposures), np.zeros((4, 4)))
+
+
+def sd_of_information(
+    information: FloatArray, amplitude_px: float, phase_rad: float, *, direction_rad: float = 0.5
+) -> PredictedSd:
+    """The bound from the sum of the frames' `motion_information` (4, 4) at this motion."""
+    turn = _motion_axes(phase_rad, direction_rad)
     covariance = _invert(turn.T @ information @ turn)
     root = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):
