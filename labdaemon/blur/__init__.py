@@ -22,7 +22,15 @@ from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_elli
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
-from labdaemon.blur.prediction import DotImage, PredictedSd, predict_sd
+from labdaemon.blur.prediction import (
+    DotImage,
+    PredictedSd,
+    light_fraction,
+    motion_information,
+    motion_vectors,
+    predict_sd,
+    sd_of_information,
+)
 from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
 from labdaemon.blur.sharp.fit_sharp import fit_sharp
 from labdaemon.blur.sharp.target import SharpTarget
@@ -62,6 +70,7 @@ __all__ = [
     "find_relative_signs",
     "fit_ellipse",
     "fit_sharp",
+    "light_fraction",
     "make_textured_patch",
     "measure",
     "measure_displacement",
@@ -71,8 +80,11 @@ __all__ = [
     "measure_moment",
     "measure_static",
     "mirror_axes",
+    "motion_information",
+    "motion_vectors",
     "named_code",
     "nearest_twin",
     "predict_sd",
+    "sd_of_information",
     "solved",
 ]
