@@ -1,4 +1,4 @@
-"""Which captures know a motion best in a given time: cycles, opening phases, light code, exposure, by their information.
+"""Which captures know a motion best in a given time: exposure, cycles, opening phases and light code.
 
 For each excitation of a campaign the captures that a phase may ask for are planned as a campaign would plan them, and
 the Cramér–Rao bound of amplitude and phase is predicted from the modelled images, with photon noise, read noise and
@@ -233,11 +233,11 @@ class DesignSearch:
             if LEAST_WHITE <= ratio <= MOST_WHITE:
                 if self._goal == "amplitude":
                     yield phase.model_copy(update={**plain, "exposure_s": exposure_s})
-                for openings in OPENINGS:
+                for openings in OPENINGS if self._goal == "phase" else OPENINGS[:1]:
                     rounded = tuple(round(one, 4) for one in openings)
                     yield phase.model_copy(update={**plain, "exposure_s": exposure_s, "phase_rad": rounded})
             # A lamp that is dark for part of the cycle leaves room for a longer exposure.
-            if self._rig.lamp is not None and LEAST_WHITE <= ratio <= 3.0 * MOST_WHITE:
+            if self._goal == "phase" and self._rig.lamp is not None and 1.0 <= ratio <= 3.0 * MOST_WHITE:
                 for code in CODES:
                     expected_mm = max(self._expectation.amplitudes_mm)
                     lit = {"light": code, "exposure_s": exposure_s, "expected_mm": expected_mm}
@@ -295,8 +295,8 @@ class DesignSearch:
     ) -> FloatArray:
         """(4, 4) information of one frame on the motion A·sin(ωt + ψ), from what is known of a frame like it.
 
-        With the time's origin at an opening φ, the motion's phase is ψ + φ. Whole cycles show the same at any phase, and
-        a code has its own origin.
+        With the time's origin at an opening φ, the motion's phase is ψ + φ. Whole cycles show the same at any phase,
+        and a code has its own origin.
         """
         if window.light is not None:
             origin_rad, plain = 0.0, window

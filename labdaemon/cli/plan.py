@@ -7,7 +7,7 @@ import math
 import shutil
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -19,10 +19,12 @@ from labdaemon.capture.exposure import part_cycle
 from labdaemon.cli.progress import duration
 from labdaemon.cli.remote import ask
 from labdaemon.errors import UsageError
-from labdaemon.service.config import load_rig, plan_rig
+from labdaemon.service.config import RigConfig, load_rig, plan_rig
 from labdaemon.service.enable_line_note import enable_line, sentence
+from labdaemon.service.lamp_settings import image_scale
 from labdaemon.stream.client import COMMANDS, NoDaemon
 
+Goal = Literal["amplitude", "phase"]
 WHOLE_WITHIN_CYCLES = 0.05
 """Further from whole than this a capture without phase is flagged `part_cycles`."""
 SIMULATED_RIG = Path("config/sim.toml")
@@ -37,13 +39,44 @@ SIMULATED_RIG = Path("config/sim.toml")
 )
 @click.option("--address", default=COMMANDS, envvar="LABDAEMON_ADDRESS", metavar="TCP", help="The daemon to ask.")
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON.")
-def plan(campaign: Path, config: Path | None, address: str, as_json: bool) -> None:
+@click.option("--optimise", is_flag=True, help="Choose exposures, openings and light codes that know most in the time.")
+@click.option(
+    "--goal", type=click.Choice(["amplitude", "phase"]), help="What is to be known; as the phases say if not given."
+)
+@click.option(
+    "--expected-mm", type=click.FloatRange(1e-3, 1e3), nargs=2, help="Least and largest semi-amplitude expected."
+)
+@click.option(
+    "--transmissibility",
+    type=click.FloatRange(1e-3, 1e3),
+    nargs=2,
+    help="The same over the table's amplitude; 0.5 and 5 if neither is given.",
+)
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write the optimised campaign here.")
+@click.option("--write", is_flag=True, help="Replace the campaign file by the optimised one.")
+def plan(
+    campaign: Path,
+    config: Path | None,
+    address: str,
+    as_json: bool,
+    optimise: bool,
+    goal: Goal | None,
+    expected_mm: tuple[float, float] | None,
+    transmissibility: tuple[float, float] | None,
+    out: Path | None,
+    write: bool,
+) -> None:
     """Every step of a campaign with its exposures, time and disk, each checked against the rig's limits.
 
     Exposure times are the usual thirds of a stop where the rig file does not list a body's own.
     """
     rig = load_rig(config or _known_rig(address))
     room = _free_bytes(rig.data)
+    if optimise:
+        _optimise(campaign, rig, goal, (expected_mm, transmissibility), campaign if write else out, as_json=as_json)
+        return
+    if any((goal, expected_mm, transmissibility, out, write)):
+        raise UsageError("--goal, --expected-mm, --transmissibility, --out and --write belong to --optimise")
     made = make_plan(load_campaign(campaign), plan_rig(rig, free_bytes=room))
     if as_json:
         click.echo(json.dumps(_document(made) | {"enable_line": enable_line(rig)}))
@@ -60,6 +93,44 @@ def plan(campaign: Path, config: Path | None, address: str, as_json: bool) -> No
         f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
         + (f"; {note}" if note else "")
     )
+
+
+def _optimise(
+    campaign: Path,
+    rig: RigConfig,
+    goal: Goal | None,
+    expected: tuple[tuple[float, float] | None, tuple[float, float] | None],
+    to: Path | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Search, and print the designs and the campaign that has them."""
+    # Loaded where it is asked for: the modelled images take longer to load than a plan to make.
+    from labdaemon.cli import optimise_plan
+
+    for low, high in (one for one in expected if one is not None):
+        if low > high:
+            raise UsageError(f"the least value comes first: {low:g} {high:g}")
+    read, planned = load_campaign(campaign), plan_rig(rig)
+    designs = optimise_plan.search_designs(
+        read,
+        planned,
+        image_scale(rig),
+        goal=goal,
+        expected_mm=expected[0],
+        transmissibility=expected[1],
+        progress=lambda text: click.echo(text, err=True),
+    )
+    text = optimise_plan.campaign_toml(read, designs)
+    if as_json:
+        click.echo(json.dumps({"designs": optimise_plan.document(designs), "toml": text}))
+    else:
+        for line in optimise_plan.lines(designs):
+            click.echo(line)
+        if to is None:
+            click.echo("\n" + text, nl=False)
+    if to is not None:
+        optimise_plan.save(text, to, planned)
 
 
 def _known_rig(address: str) -> Path:
