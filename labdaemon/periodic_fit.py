@@ -151,6 +151,8 @@ def fit_periodic(
         frequency_hz, sd_frequency_hz = _search(t, values), math.inf
     _check_rate(t_s, frequency_hz)
     fit = _fit(t, values, frequency_hz, sd_frequency_hz)
+    if math.isinf(sd_frequency_hz) and fit.frequency_hz * float(t[-1] - t[0]) < MIN_CYCLES:
+        raise RecordError("less than a cycle of the strongest sine: it may be drift")
     if values.size < MIN_READINGS_FOR_OUTLIERS:
         return _result(fit)
     # A spike would fill the residuals by which the others are judged: out with them, and fit once more.

@@ -173,3 +173,29 @@ def test_a_sine_of_a_few_steps_is_not_clipped() -> None:
     t = np.arange(1000) / RATE_HZ
     y = np.round(3.0 * np.sin(2 * np.pi * 5.03 * t)) + 0.0
     assert fit_periodic(t, y, 5.03).amplitude == pytest.approx(3.0, abs=0.15)
+
+
+@pytest.mark.parametrize("shift", [0.1, 1.9, 3.3, 4.7, 6.1])
+def test_any_phase_is_found_from_no_start(shift: float) -> None:
+    t = np.linspace(0.0, 3.0, 300)
+    y = 1.3 * np.sin(2 * np.pi * t + shift) + np.random.default_rng(5).normal(0, 0.05, 300)
+    fit = fit_periodic(t, y, 1.0, sd_frequency_hz=0.01)
+    assert fit.amplitude == pytest.approx(1.3, abs=4 * fit.sd)
+    assert abs(turn((fit.phase_rad or 0.0) - shift)) < 4 * (fit.sd_phase_rad or 0.0)
+
+
+def test_less_than_a_cycle_of_unknown_frequency_is_no_sine() -> None:
+    t = np.linspace(0.0, 0.8, 200)
+    y = np.sin(2 * np.pi * t) + np.random.default_rng(5).normal(0, 0.1, 200)
+    with pytest.raises(RecordError, match="less than a cycle|no sine"):
+        fit_periodic(t, y)
+
+
+def test_readings_in_tight_clusters_claim_what_they_know() -> None:
+    rng, pulls = np.random.default_rng(6), []
+    for _ in range(40):
+        t = np.sort(np.concatenate([k + rng.uniform(0, 0.02, 20) for k in range(10)]))
+        y = np.sin(2 * np.pi * 0.2137 * t + rng.uniform(0, 6)) + rng.normal(0, 0.02, t.size)
+        fit = fit_periodic(t, y, 0.2137)
+        pulls.append((fit.amplitude - 1) / fit.sd)
+    assert 0.6 < float(np.std(pulls)) < 1.5

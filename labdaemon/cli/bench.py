@@ -12,7 +12,8 @@ import click
 from labdaemon.errors import UsageError
 
 ELSEWHERE = {
-    name: f"labdaemon.bench.{name}:command" for name in ("soak", "kill", "faults", "interlock", "textures", "harmonics")
+    name: f"labdaemon.bench.{name}:command"
+    for name in ("soak", "kill", "faults", "interlock", "textures", "harmonics", "planned")
 } | {name: f"labdaemon.bench.{name}.command:command" for name in ("world", "stream")}
 """Subcommands defined in the benches' own modules; imported only when called."""
 

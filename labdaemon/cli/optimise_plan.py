@@ -89,7 +89,9 @@ def lines(designs: Sequence[PlannedDesign]) -> list[str]:
         at = f"{one.frequency_hz:.3f} Hz {one.amplitude_mm:.3g} mm"
         made.append(f"{at:<18}{'now':<6}{_captures(one.own, one.own_groups):<46}{_precision(one.own_precision)}")
         made.append(f"{'':<18}{'best':<6}{_captures(one.best, one.best_groups):<46}{_precision(one.best_precision)}")
-    made.append("(of one target and camera, Cramér–Rao, averaged over the expected amplitudes; time without settling)")
+    made.append(
+        "(of one target and camera, 1.15 × Cramér–Rao, averaged over the expected amplitudes; time without settling)"
+    )
     return made
 
 
