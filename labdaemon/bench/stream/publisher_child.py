@@ -28,7 +28,7 @@ GREETING_MS = 20
 GO = "go\n"
 
 
-class MemoryOutbox:
+class BenchOutbox:
     """Events that are committed as soon as they are added."""
 
     uuid = "bench"
@@ -85,7 +85,7 @@ def send_bare(count: int) -> None:
 
 async def send_ours(count: int) -> None:
     """The daemon's publisher."""
-    outbox = MemoryOutbox()
+    outbox = BenchOutbox()
     publisher = EventPublisher("tcp://127.0.0.1:*", outbox, lambda: {"campaign": None}, SystemClock())
     publisher.bind()
     running = asyncio.create_task(publisher.run())
