@@ -19,6 +19,7 @@ from pydantic import Field
 from labdaemon.capture.devices import Firing
 from labdaemon.capture.lamp import LightRequest, PlayedLight
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdaemon.phase_angle import wrap_phase
 from labdrivers.serial_line import PortSettings, SerialLine
 from labdrivers.settings import read_settings, readable_settings
 from labdrivers.trigger_lamp import PERIOD_WITHIN, LampControl
@@ -316,7 +317,7 @@ class TriggerBox:
         after_sync_s = elapsed_us(shot.release_us, shot.sync_us) * 1e-6 + self._lag_s
         omega = 2 * math.pi * frequency_hz
         sd_s = self._settings.sd_opening_s / math.sqrt(len(opening_s))
-        return Firing(opened_at, opening_s, omega * after_sync_s % (2 * math.pi), omega * sd_s)
+        return Firing(opened_at, opening_s, wrap_phase(omega * after_sync_s), omega * sd_s)
 
     def _number(self, words: tuple[str, ...]) -> int:
         if len(words) != 1 or not words[0].isdigit():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import pi
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -15,8 +14,8 @@ from labdaemon.capture.devices import CardFile
 from labdaemon.events import GaugeMotion
 from labdaemon.journal.light_record import LightRecord
 from labdaemon.journal.records import NO_STEP, UNKNOWN_EXPOSURE_S, CaptureRecord
+from labdaemon.phase_angle import TURN, wrap_phase
 
-TURN = 2.0 * pi
 LONGEST_NAME = 80  # of the card's own part: a path must stay within 255 bytes with the camera's name
 _ENDING = re.compile(r"\.[a-z0-9]{1,5}")
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]")
@@ -59,13 +58,7 @@ def set_aside_path(data: Path, campaign: str, capture: str, camera: str, name: s
 
 def opening_phase(capture: CaptureRecord) -> float | None:
     """Excitation phase at the cameras' mean opening, radians in [0, 2π); None where it was not seen."""
-    return None if capture.phase_rad is None else _wrap_phase(capture.phase_rad)
-
-
-def _wrap_phase(phase_rad: float) -> float:
-    """The phase in [0, 2π)."""
-    wrapped = phase_rad % TURN
-    return wrapped if wrapped < TURN else 0.0  # of a negative number near zero, % is a whole turn
+    return None if capture.phase_rad is None else wrap_phase(capture.phase_rad)
 
 
 def capture_toml(capture: CaptureRecord, light: LightRecord | None = None, gauges: Sequence[GaugeMotion] = ()) -> str:
@@ -95,7 +88,7 @@ def _camera_phases(capture: CaptureRecord, phase_rad: float | None) -> dict[str,
         return {}
     mean_s = sum(capture.opening_s.values()) / len(capture.opening_s)
     return {
-        camera: {"phase_rad": _wrap_phase(phase_rad + TURN * capture.frequency_hz * (opening_s - mean_s))}
+        camera: {"phase_rad": wrap_phase(phase_rad + TURN * capture.frequency_hz * (opening_s - mean_s))}
         for camera, opening_s in sorted(capture.opening_s.items())
     }
 

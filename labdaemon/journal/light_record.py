@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from labdaemon.journal.journal import Journal, Transaction
+from labdaemon.phase_angle import wrap_phase
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class LightRecord:
         """Keys of `capture.toml` and of ``capture.completed``."""
         return {
             "light": list(self.brightness),
-            "light_phase_rad": self.phase_rad % (2.0 * math.pi),
+            "light_phase_rad": wrap_phase(self.phase_rad),
             "light_cycles": self.cycles,
             "ambient": self.ambient,
             "light_rise_s": self.rise_s,
