@@ -20,7 +20,7 @@ from scipy import stats
 from labdaemon.findings.linearise import ModalProblem
 from labdaemon.findings.modal_basis import ModalBasis, ModeForm
 from labdaemon.findings.modal_fit import ModalFit, add_residual_term, fit, initial_parameters, remove_mode
-from labdaemon.findings.phase_retrieval import with_residues
+from labdaemon.findings.phase_retrieval import fit_with_signs, with_residues
 from labdaemon.findings.pole_search import DAMPINGS, PoleCandidate, PoleScan
 from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
 
@@ -182,7 +182,8 @@ class _Search:
     def _fit(self, poles: tuple[PoleCandidate, ...]) -> ModalFit:
         frequency = np.array([one.frequency_hz for one in poles])
         damping = np.array([abs(one.damping) for one in poles])
-        return fit(self.problem, with_residues(self.problem, initial_parameters(self.problem, frequency, damping)))
+        start = with_residues(self.problem, initial_parameters(self.problem, frequency, damping))
+        return fit_with_signs(self.problem, start)
 
     def _without(self, current: ModalFit, index: int) -> ModalFit:
         """A fit without one pole: from where the present one stands, or anew where that is worse."""

@@ -12,11 +12,16 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labdaemon.findings.linearise import ModalParameters, ModalProblem
+from labdaemon.findings.modal_fit import ModalFit, fit
 from labdaemon.findings.response import ComplexArray, FloatArray, PhaseReference
 
 TURNS = 25
+REPAIRS = 4
+UNEXPLAINED = 1.5
+"""χ² per degree of freedom above which signs are tried again."""
 MOST_SIGNS = 5
 """Modes whose signs are all combined; further ones start with a plus."""
 
@@ -29,22 +34,61 @@ def with_residues(problem: ModalProblem, parameters: ModalParameters) -> ModalPa
     """
     if problem.series.phase is PhaseReference.TABLE:
         return parameters
-    coefficients = _retrieve(problem, parameters)
+    coefficients, _ = _retrieve(problem, parameters)
     found = replace(parameters, coefficients=coefficients.astype(complex))
     if problem.series.phase is PhaseReference.STEP:
         return _align_targets(problem, found)
     return found
 
 
-def _retrieve(problem: ModalProblem, parameters: ModalParameters) -> FloatArray:
-    """(T, D, P) real residues, each target's up to a common sign."""
+def fit_with_signs(problem: ModalProblem, start: ModalParameters) -> ModalFit:
+    """Fit, and fit again while other signs of a target's modes explain it better.
+
+    Poles that were far off at the start leave some targets with a wrong sign, from which no small step leads away.
+    """
+    fitted = fit(problem, start)
+    if problem.series.phase is not PhaseReference.TARGET or not problem.is_real:
+        return fitted
+    for _ in range(REPAIRS):
+        if fitted.freedom <= 0 or fitted.noise_factor < UNEXPLAINED:
+            break
+        coefficients, is_better = _better_signs(problem, fitted.parameters)
+        if not is_better.any():
+            break
+        mended = np.where(is_better[:, None, None], coefficients, fitted.parameters.coefficients)
+        again = fit(problem, replace(fitted.parameters, coefficients=mended.astype(complex)))
+        if again.chi2 >= 0.999 * fitted.chi2:
+            break
+        fitted = again
+    return fitted
+
+
+def _better_signs(problem: ModalProblem, at: ModalParameters) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(T, D, P) residues with the best signs at these poles, and (T,) whether they are better than the present ones."""
+    present = at.coefficients.real
+    modes = at.modes
+    combined = min(modes, MOST_SIGNS)
+    signs = np.array(list(product((1.0, -1.0), repeat=combined))) if combined else np.ones((1, 0))
+    factor = np.ones((len(signs), present.shape[2]))
+    terms = problem.basis.residual_terms
+    factor[:, terms : terms + combined] = signs
+    best, misfits = _retrieve(problem, at, present[None] * factor[:, None, None, :])
+    return best, misfits.min(axis=0) < 0.9 * misfits[0]
+
+
+def _retrieve(
+    problem: ModalProblem, parameters: ModalParameters, starts: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """(T, D, P) real residues, each target's up to a common sign, and (S, T) the misfit from each start."""
     series = problem.series
     columns = problem.basis.columns(series.frequency_hz, parameters.frequency_hz, parameters.damping)
-    observed = problem.observed / series.table_mm[None, :, None]
-    weight2 = (problem.weight_real * series.table_mm[None, :, None]) ** 2
+    table = series.table_mm * (1 + parameters.gain)
+    observed = problem.observed / table[None, :, None]
+    weight2 = (problem.weight_real * table[None, :, None]) ** 2
     normal = np.einsum("tkd,kp,kq->tdpq", weight2, columns.conj(), columns, optimize=True).real
     inverse = np.linalg.pinv(normal, rcond=1e-10, hermitian=True)
-    starts = _starts(observed, weight2, columns, problem.basis.residual_terms)
+    if starts is None:
+        starts = _starts(observed, weight2, columns, problem.basis.residual_terms)
     model = np.einsum("kp,stdp->stkd", columns, starts)
     misfit = np.full(starts.shape[:2], np.inf)
     for _ in range(TURNS):
@@ -55,7 +99,7 @@ def _retrieve(problem: ModalProblem, parameters: ModalParameters) -> FloatArray:
         misfit = np.sum(weight2 * np.abs(_turned(observed, weight2, model) - model) ** 2, axis=(2, 3))
     chosen = np.argmin(misfit, axis=0)
     best: FloatArray = starts[chosen, np.arange(starts.shape[1])]
-    return best
+    return best, misfit
 
 
 def _turned(observed: ComplexArray, weight2: FloatArray, model: ComplexArray) -> ComplexArray:

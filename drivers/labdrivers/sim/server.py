@@ -22,6 +22,7 @@ from typing import Any
 
 from labdrivers.sim.assembly import SimulatedRig
 from labdrivers.sim.control import ControlClient, ControlCommands, ControlServer
+from labdrivers.sim.modification import MODIFICATIONS, modified_modes
 from labdrivers.sim.rig_file import write_rig_files
 from labdrivers.sim.spec import RigSpec
 from labdrivers.sim.usb_remote import BusServer
@@ -136,7 +137,14 @@ class RunningRig:
         self.close()
 
 
-def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enable_wired: bool = True) -> RunningRig:
+def start(
+    *,
+    seed: int = 1,
+    small: bool = False,
+    cards: Path | None = None,
+    enable_wired: bool = True,
+    modification: str = "none",
+) -> RunningRig:
     """Start the simulated rig in a process of its own and wait until it can be talked to.
 
     Parameters
@@ -149,6 +157,8 @@ def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enab
         Directory for the cameras' cards; temporary ones if None.
     enable_wired
         Whether the amplifier needs the trigger box's enable line.
+    modification
+        Of the structure, a name of `labdrivers.sim.modification.MODIFICATIONS`.
 
     Raises
     ------
@@ -159,6 +169,7 @@ def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enab
     command += ["--small"] if small else []
     command += ["--cards", str(cards)] if cards is not None else []
     command += [] if enable_wired else ["--enable-not-wired"]
+    command += ["--modification", modification]
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -170,11 +181,11 @@ def start(*, seed: int = 1, small: bool = False, cards: Path | None = None, enab
     if not line.strip():
         process.kill()
         raise RuntimeError(f"the simulated rig did not start (exit status {process.wait()})")
-    return RunningRig(process, Addresses(**json.loads(line)), _spec(seed, small))
+    return RunningRig(process, Addresses(**json.loads(line)), _spec(seed, small, modification))
 
 
-def _spec(seed: int, small: bool) -> RigSpec:
-    spec = RigSpec(seed=seed)
+def _spec(seed: int, small: bool, modification: str = "none") -> RigSpec:
+    spec = RigSpec(seed=seed, modes=modified_modes(MODIFICATIONS[modification]))
     if small:
         spec = replace(spec, cameras={name: replace(c, image_size=SMALL_FRAME) for name, c in spec.cameras.items()})
     return spec
@@ -187,9 +198,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--small", action="store_true", help="frames of 64 x 48 pixels that take no time")
     parser.add_argument("--cards", type=Path, help="directory for the cameras' cards")
     parser.add_argument("--enable-not-wired", action="store_true", help="amplifier runs without the enable line")
+    parser.add_argument("--modification", choices=list(MODIFICATIONS), default="none", help="of the structure")
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input closes")
     options = parser.parse_args(arguments)
-    spec = _spec(options.seed, options.small)
+    spec = _spec(options.seed, options.small, options.modification)
     ended, stop = _end_on_signals()
     rig = SimulatedRig(spec, cards=options.cards, enable_wired=not options.enable_not_wired)
     ports = {name: TcpPort(device) for name, device in rig.wires.items()}

@@ -40,6 +40,8 @@ class VibrationMode:
         Rotation of the top about its axis per unit modal coordinate, rad/mm.
     rocking
         Fraction of the section's rotation that shows as vertical motion (1: plane sections; a shear frame less).
+    parts
+        Weights and other modes whose shapes add up to this one's, which then has none of its own: a modified frame.
     """
 
     frequency_hz: float
@@ -48,10 +50,13 @@ class VibrationMode:
     sway: tuple[float, float]
     twist_per_mm: float = 0.0
     rocking: float = 0.15
+    parts: tuple[tuple[float, VibrationMode], ...] = ()
 
     def shape(self, points_mm: FloatArray) -> FloatArray:
         """Displacement (n, 3) of points (n, 3) per unit modal coordinate; 0 at and below the table."""
         points = np.atleast_2d(np.asarray(points_mm, float))
+        if self.parts:
+            return np.sum([weight * mode.shape(points) for weight, mode in self.parts], axis=0)
         x, y, z = points.T
         argument = 0.5 * np.pi * self.quarter_waves * np.clip(z, 0.0, None) / HEIGHT_MM
         profile = np.sin(argument)
