@@ -140,7 +140,8 @@ def fit_shear_frame(observed: ShearObservation, levels: int, *, is_fixed: bool) 
         )
 
     found = least_squares(residuals, start)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+    jacobian: FloatArray = np.asarray(found.jac, np.float64)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return ShearFit(_frame(found.x, levels), sd[:levels], sd[levels:])
 
