@@ -87,8 +87,9 @@ def as_complex(values: FloatArray, is_complex: bool) -> ComplexArray:
 
 def mac_value(one: ComplexArray, other: ComplexArray) -> float:
     """Modal assurance criterion of two vectors."""
-    product = abs(np.vdot(one, other)) ** 2
-    return float(product / max((np.vdot(one, one) * np.vdot(other, other)).real, 1e-300))
+    product = float(abs(np.vdot(one, other))) ** 2
+    size = float(np.vdot(one, one).real) * float(np.vdot(other, other).real)
+    return product / max(size, 1e-300)
 
 
 def mac(one: ModeShape, other: ModeShape) -> Estimate:

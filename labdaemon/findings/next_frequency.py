@@ -113,11 +113,13 @@ def _candidate_steps(
 def joined(first: ResponseSeries, second: ResponseSeries) -> ResponseSeries:
     """Steps of one series after those of another of the same targets."""
 
-    def both(name: str) -> NDArray[np.generic]:
-        return np.concatenate([getattr(first, name), getattr(second, name)])
-
     return ResponseSeries(
-        *(both(name) for name in ("frequency_hz", "amplitude", "sd_real", "sd_imag", "table_mm", "sd_table")),  # type: ignore[arg-type]
+        np.concatenate([first.frequency_hz, second.frequency_hz]),
+        np.concatenate([first.amplitude, second.amplitude]),
+        np.concatenate([first.sd_real, second.sd_real]),
+        np.concatenate([first.sd_imag, second.sd_imag]),
+        np.concatenate([first.table_mm, second.table_mm]),
+        np.concatenate([first.sd_table, second.sd_table]),
         phase=first.phase,
         at_rest=np.concatenate([first.resting(), second.resting()]),
         targets=first.targets,
