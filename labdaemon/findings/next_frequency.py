@@ -112,7 +112,6 @@ def _candidate_steps(
 
 def joined(first: ResponseSeries, second: ResponseSeries) -> ResponseSeries:
     """Steps of one series after those of another of the same targets."""
-
     return ResponseSeries(
         np.concatenate([first.frequency_hz, second.frequency_hz]),
         np.concatenate([first.amplitude, second.amplitude]),
