@@ -11,6 +11,7 @@ from typing import cast
 import click
 
 from labdaemon import __version__
+from labdaemon.cli.error_json import print_error
 from labdaemon.errors import LabdaemonError
 
 COMMANDS = {
@@ -24,6 +25,8 @@ COMMANDS = {
     "abort": ("labdaemon.cli.remote:abort", "End the campaign; the table comes to rest."),
     "capture": ("labdaemon.cli.remote:capture", "Fire all shutters once, now."),
     "stop": ("labdaemon.cli.remote:stop", "Bring the shaker to rest now."),
+    "rig": ("labdaemon.cli.campaigns:rig", "Which rig the daemon runs."),
+    "campaigns": ("labdaemon.cli.campaigns:campaigns", "Campaigns: list, show, results folder, order of the queue."),
     "safe-stop": ("labdaemon.cli.run:safe_stop", "Bring the table to rest when the daemon has died."),
     "plan": ("labdaemon.cli.plan:plan", "Every step of a campaign, checked against a rig."),
     "measure": ("labdaemon.cli.measure:measure", "Motion in pixels from a sharp and blurred frames."),
@@ -66,7 +69,11 @@ class LazyGroup(click.Group):
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="labdaemon")
 def cli() -> None:
-    """Shaker, synchronised cameras, and vibration measured from motion blur."""
+    """Shaker, synchronised cameras, and vibration measured from motion blur.
+
+    LABDAEMON_ADDRESS is the commands address of the daemon that submit, status, watch, stop and the like talk to, and
+    LABDAEMON_KEY the client's key file where that daemon asks for one.
+    """
 
 
 def say(line: str) -> None:
@@ -94,9 +101,11 @@ def main() -> None:
         sys.exit(exc.exit_code)
     except click.ClickException as exc:
         exc.show()
+        print_error(exc, 2)
         sys.exit(2)
     except LabdaemonError as exc:
         say(f"labdaemon: {exc}")
+        print_error(exc, exc.exit_status)
         sys.exit(exc.exit_status)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 import click
+from click.core import ParameterSource
 
 from labdaemon.errors import UsageError
 from labdaemon.stream.client import COMMANDS, Client, EventStream, HistoryCut, JournalChanged, NoDaemon
@@ -50,12 +51,31 @@ def address_options(command: Command) -> Command:
         show_default=True,
         show_envvar=True,
         metavar="TCP",
+        callback=_warn_of_two,
         help="The daemon's commands address.",
     )(command)
 
 
 def _remember_key(context: click.Context, parameter: click.Parameter, key: Path | None) -> None:
     context.meta[KEY] = key
+
+
+def _warn_of_two(context: click.Context, parameter: click.Parameter, address: str) -> str:
+    """Say which daemon is meant where no address was given and several live here."""
+    from labdaemon.service.presence import present_daemons
+
+    if parameter.name is None or context.get_parameter_source(parameter.name) is not ParameterSource.DEFAULT:
+        return address
+    present = present_daemons()
+    if len(present) > 1 or any(daemon.commands != address for daemon in present):
+        known = "; ".join(f"{daemon.commands} ({daemon.config}, process {daemon.pid})" for daemon in present)
+        count = f"{len(present)} daemons run" if len(present) > 1 else "a daemon runs"
+        click.echo(
+            f"labdaemon: {count} on this computer: {known}; this goes to {address}. Choose with --address or "
+            "LABDAEMON_ADDRESS",
+            err=True,
+        )
+    return address
 
 
 def key_file() -> Path | None:

@@ -31,6 +31,7 @@ from labdaemon.service.devices import build_rig, connect_stop_actuators
 from labdaemon.service.doors import Doors, open_doors
 from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
 from labdaemon.service.guardian_supervisor import GuardianSupervisor
+from labdaemon.service.presence import PresenceNote
 from labdaemon.service.shaker_lock import ShakerLock
 from labdaemon.service.signals import ending_signals, exit_status, forbid_core_dumps, ignore_suspension, name_of
 from labdaemon.service.startup import EndRequest, StartupSequence
@@ -215,12 +216,13 @@ async def _serve_commands(context: TableContext, lock: ShakerLock | None, end: a
     start = StartupSequence(context.clock, context.table, place_of(context.config.source, context.data), end)
     deferred = DeferredCommands()
     deferred.serve_early(start.handlers(), start.refusal)
-    doors = context.doors
+    doors, present = context.doors, None
     commands = CommandServer(context.config.service.commands, deferred.handlers(), deferred, doors.commands)
     try:
         commands.bind()
         if lock is not None:
             lock.note(commands=commands.address)
+        present = PresenceNote(commands.address, str(context.config.source))
         start.parts.append(asyncio.create_task(supervise("commands", commands.run, context.clock)))
         if doors.access is not None:
             follow = partial(doors.access.run, context.clock)
@@ -234,6 +236,8 @@ async def _serve_commands(context: TableContext, lock: ShakerLock | None, end: a
         for part in start.parts:
             part.cancel()
         commands.close()
+        if present is not None:
+            present.remove()
 
 
 async def _open_data(

@@ -20,7 +20,10 @@ from labdaemon.stream.roles import Role
 from labdaemon.stream.sockets import ANYBODY, DoorPolicy
 
 START_S = 20.0
-METHODS = ("status", "rig", "capture", "stop", "events.replay", "events.latest", "campaign.submit", "rpc.discover")
+METHODS = (
+    *("status", "rig", "capture", "stop", "events.replay", "events.latest", "rpc.discover"),
+    *("campaign.submit", "campaign.list", "campaign.show", "campaign.move"),
+)
 """Commands that it answers, each with what `StreamDaemon.results` has."""
 
 

@@ -58,7 +58,7 @@ def test_typed_commands_answer_objects(daemon: StreamDaemon, lab: Client) -> Non
     assert lab.stop().rest == "shaker"
     assert daemon.asked[1:] == [("capture", {"label": "a", "frequency_hz": 5.0}), ("stop", {})]
     with pytest.raises(RemoteError) as refused:
-        lab.campaigns()
+        lab.abort()
     assert refused.value.name == "method_not_found"
 
 
@@ -183,7 +183,7 @@ async def test_the_async_client_does_the_same(daemon: StreamDaemon) -> None:
         status, stop, capture = await asyncio.gather(lab.status(), lab.stop(), lab.capture(label="b"))
         assert (status.state, stop.table, capture.capture) == ("idle", "rest", "0001-a")
         with pytest.raises(RemoteError):
-            await lab.campaigns()
+            await lab.abort()
         stream = await lab.listen(after=0, timeout_s=20)
         for number in range(3):
             daemon.outbox.add("fault", {"message": str(number)})  # not woken: found by the gap before the next one
