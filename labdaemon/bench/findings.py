@@ -57,7 +57,7 @@ def resonance_goals(trials: list[ResonanceTrial], ratios: list[float]) -> list[F
         FindingsGoal("structures whose modes were all found, part", len(good) / len(trials), 1.0, 1.0),
         FindingsGoal("largest error of a frequency, %", 100 * float(np.abs(hz).max(initial=0.0)), 0.0, 0.006),
         FindingsGoal("largest error of a damping, % of itself", 100 * float(np.abs(zeta).max(initial=0.0)), 0.0, 2.0),
-        FindingsGoal("pulls, root mean square", float(np.sqrt(np.mean(pulls**2))), 0.8, 1.3),
+        FindingsGoal("pulls, root mean square", float(np.sqrt(np.mean(pulls**2))) if pulls.size else 0.0, 0.8, 1.3),
         FindingsGoal("stated sd over the Cramér-Rao bound, largest", float(sds.max(initial=0.0)), 0.0, 1.5),
         FindingsGoal("captures over those of an equal log-uniform sweep, mean", float(np.mean(ratios)), 0.0, 1 / 3),
     ]
