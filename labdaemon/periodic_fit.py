@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labdaemon.record_range import RecordError, check_range, smallest_step
 from labdaemon.sine_fit import fit_free_sine
 
 FloatArray = NDArray[np.float64]
@@ -43,16 +44,10 @@ MIN_READINGS_FOR_OUTLIERS = 50
 """The median size of fewer residuals is too uncertain to judge any by it."""
 DITHER = 0.4
 """Noise below this part of the converter's step leaves errors that repeat in every cycle, and do not average out."""
-CLIPPED_EXCESS = 0.03
-"""Share of readings at one end of the range, beyond what a sine in steps would leave there, that means clipping."""
 MAX_PHASE_SD_RAD = 1.0
 """A phase that is known no better than this is none."""
 ITERATIONS = 12
 MAX_AUTOCORRELATION = 0.98
-
-
-class RecordError(ValueError):
-    """A record does not show the motion; the message says why, without the gauge's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,33 +152,10 @@ def fit_periodic(
         return _result(fit)
     # A spike would fill the residuals by which the others are judged: out with them, and fit once more.
     residual = np.abs(fit.residual)
-    keep = residual <= OUTLIER * max(float(np.median(residual)), _step(values), 1e-12)
+    keep = residual <= OUTLIER * max(float(np.median(residual)), smallest_step(values), 1e-12)
     if 1.0 - keep.mean() > MAX_OUTLIER_SHARE:
         raise RecordError(f"{1.0 - keep.mean():.0%} of the record are outliers")
     return _result(fit if keep.all() else _fit(t[keep], values[keep], frequency_hz, sd_frequency_hz))
-
-
-def check_range(values: FloatArray) -> None:
-    """Check that readings are not stuck, and not clipped at an end of the gauge's range.
-
-    A sine in coarse steps dwells at its ends too: only what exceeds that counts as clipped.
-
-    Raises
-    ------
-    RecordError
-        They are.
-    """
-    low, high = float(values.min()), float(values.max())
-    if low == high:
-        if values.size < 2 * MIN_EXCESS_READINGS:
-            raise RecordError(f"{values.size} equal readings show neither motion nor noise")
-        raise RecordError(f"stuck at {low:g}")
-    step, half = _step(values), (high - low) / 2.0
-    expected = math.acos(max(-1.0, 1.0 - step / half)) / math.pi
-    for end in (low, high):
-        count = int(np.sum(values == end))
-        if count > 2 and count > (1.5 * expected + CLIPPED_EXCESS) * values.size:
-            raise RecordError(f"clipped at {end:g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,7 +239,7 @@ def _covariance(
     """Covariance of the solution, and the standard deviation of a reading."""
     freedom = max(t.size - design.shape[1], 3)
     # A converter's steps are noise even where the residuals happen to be smaller.
-    rms, step = math.sqrt(float(residual @ residual) / freedom), _step(y)
+    rms, step = math.sqrt(float(residual @ residual) / freedom), smallest_step(y)
     variance = max(rms, step / math.sqrt(12.0)) ** 2
     precision = design.T @ design / variance
     if 0 < sd_frequency_hz < math.inf:
@@ -382,10 +354,3 @@ def _search(t: FloatArray, y: FloatArray) -> float:
     if not found.is_significant:
         raise RecordError("no sine stands out from the noise")
     return found.frequency_hz
-
-
-def _step(y: FloatArray) -> float:
-    """Smallest step between readings: the converter's, where it is coarser than the noise."""
-    steps = np.diff(np.unique(y))
-    steps = steps[steps > 1e-9 * max(float(np.abs(y).max()), 1e-300)]
-    return float(steps.min()) if steps.size else 0.0

@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from labdaemon.periodic_fit import FloatArray, PeriodicFit, RecordError, fit_periodic
+from labdaemon.periodic_fit import FloatArray, PeriodicFit, fit_periodic
+from labdaemon.record_range import RecordError
 
 RATE_HZ = 500.0
 

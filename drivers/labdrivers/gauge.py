@@ -21,6 +21,7 @@ from pydantic import Field, field_validator
 from labdaemon.capture.abilities import GaugeRecord
 from labdaemon.capture.devices import GaugeReading, SineReading
 from labdaemon.errors import DeviceError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdaemon.record_range import clipped_ends
 from labdaemon.sine_fit import FloatArray, change_per_cycle, fit_free_sine, fit_sine
 from labdrivers.gauge_stream import LineParser, Parser, RecordParser
 from labdrivers.reading_times import ReadingTimes
@@ -35,8 +36,6 @@ MOST_BAD = 0.03
 """Share of a record that may be without a number, or outliers."""
 OUTLIER = 10.0
 """Residuals beyond this many times their median size (6.7 standard deviations) are no noise."""
-CLIPPED = 0.03
-"""Share of readings exactly at the top, and at the bottom, from which a record counts as clipped."""
 
 
 class GaugeSettings(PortSettings):
@@ -314,10 +313,10 @@ class LineGauge:
         low, high = float(values.min()), float(values.max())
         if values.size >= STUCK_READINGS and low == high:
             raise DeviceRefused(f"stuck at {low:g} {self.unit}; check its target and cable", device=self.name)
-        ends = [float(np.mean(values == end)) for end in (low, high)]
-        if min(ends) > CLIPPED:
+        if clipped := clipped_ends(values):
             raise DeviceRefused(
-                f"clipped at {low:g} and {high:g} {self.unit}: beyond its range; move it or choose a larger range",
+                f"clipped at {' and '.join(f'{end:g}' for end in clipped)} {self.unit}: beyond its range; move it or "
+                "choose a larger range",
                 device=self.name,
             )
 

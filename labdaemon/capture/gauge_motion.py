@@ -18,7 +18,8 @@ from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.events import GaugeMotion
 from labdaemon.journal.records import CaptureRecord
-from labdaemon.periodic_fit import PeriodicFit, RecordError, fit_periodic
+from labdaemon.periodic_fit import PeriodicFit, fit_periodic
+from labdaemon.record_range import RecordError
 
 LEAST_CYCLES = 4.0
 """An exposure of fewer is widened into the time before it: the table moves steadily."""

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdaemon.errors import ConfigError, DeviceRefused, ProtocolError, TransportError, UsageError
+from labdaemon.record_range import clipped_ends
 from labdaemon.sine_fit import change_per_cycle, fit_free_sine, fit_sine
 from labdrivers.gauge import LineGauge
 from labdrivers.gauge_stream import LineParser, RecordParser
@@ -226,6 +227,21 @@ def test_a_record_of_a_silent_gauge_is_an_error_at_once(streaming, fault):
     device.faults.inject(fault, count=1 if fault == "hang_up" else None)
     with pytest.raises(TransportError, match=r"sends no readings|lost"):
         gauge.record(start_s=time.monotonic(), duration_s=0.4)
+
+
+@pytest.mark.parametrize(
+    ("values", "ends"),
+    [
+        (np.round(np.sin(np.arange(500) / 10) * 5), 0),  # five steps: a coarse gauge, not a clipped one
+        (np.round(np.sin(np.arange(500) / 10) / 2), 0),
+        (np.clip(np.sin(np.arange(500) / 10), -2, 0.7), 1),
+        (np.clip(np.sin(np.arange(500) / 10), -0.7, 0.7), 2),
+        (np.zeros(500), 0),
+        (np.sin(np.arange(20)), 0),
+    ],
+)
+def test_only_what_piles_up_at_an_end_is_clipped(values, ends):
+    assert len(clipped_ends(values)) == ends
 
 
 def test_a_dead_gauge_does_not_connect(streaming):
