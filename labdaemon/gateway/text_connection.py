@@ -9,9 +9,9 @@ from contextlib import suppress
 
 from labdaemon.gateway.client_state import ClientState, EndOfSession
 from labdaemon.gateway.line_splitter import LineSplitter
-from labdaemon.gateway.pace import Pace
 from labdaemon.gateway.scpi_errors import ScpiError
 from labdaemon.gateway.text_session import look_ahead, run_line
+from labdaemon.stream.pace import Pace
 
 BLOCK_BYTES = 4096
 """Read at a time: some microseconds of the event loop."""

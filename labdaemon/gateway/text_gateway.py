@@ -8,8 +8,8 @@ import logging
 import socket
 
 from labdaemon.gateway.client_state import ClientState, GatewayContext
-from labdaemon.gateway.pace import Pace
 from labdaemon.gateway.text_connection import ConnectionRefusal, TextConnection
+from labdaemon.stream.pace import Pace
 from labdaemon.stream.peer_log import PeerLog
 from labdaemon.stream.tcp_listener import listen_tcp
 

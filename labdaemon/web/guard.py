@@ -18,10 +18,14 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from labdaemon.stream.access_token import AccessToken
+from labdaemon.stream.pace import Pace
 from labdaemon.stream.peer_log import PeerLog
 from labdaemon.stream.roles import Role
 
 WRONG_TOKEN_S = 0.5
+REQUESTS_PER_S = 200.0
+BURST = 100.0
+"""Of all that are no operators together: a flood leaves the interpreter to the rig."""
 HEADERS = {
     "cache-control": "no-store",
     "content-security-policy": "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -81,6 +85,7 @@ class RequestGuard:
 
     def __init__(self, app: ASGIApp, access: WebAccess, peers: PeerLog) -> None:
         self._app, self._access, self._peers = app, access, peers
+        self._pace = Pace(REQUESTS_PER_S, BURST)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request, or pass it on with ``state.role``."""
@@ -99,6 +104,8 @@ class RequestGuard:
         role: Role | None = None
         if refusal is None:
             role, refusal = await self._role(headers)
+        if role is not Role.OPERATOR:
+            await self._pace.take(1.0)
         if refusal is not None:
             status, text = refusal
             client = scope.get("client")
