@@ -167,7 +167,7 @@ class DotCamera:
         self._render, self._rng = render, rng
         self._half = int(np.ceil((DOT_MM / 2 + amplitude_mm) * PX_PER_MM)) + 18
         self._amplitude_mm = amplitude_mm
-        self.sheet = 0
+        self.sheet: int = 0
         """Which sheet of paper the dot is on: each has a texture of its own."""
         self._direction = np.array([math.cos(0.5), 0.0, math.sin(0.5)])
 
