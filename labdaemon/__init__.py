@@ -14,6 +14,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from labdaemon.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from labdaemon import errors as errors
     from labdaemon import events as events
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
     from labdaemon.imaging import RawFrame as RawFrame
     from labdaemon.stream.async_client import AsyncClient as AsyncClient
     from labdaemon.stream.client import Client as Client
-
-__version__ = "0.2.0"
 
 _HOME = {
     "AsyncClient": "labdaemon.stream.async_client",

@@ -10,9 +10,9 @@ from typing import cast
 
 import click
 
-from labdaemon import __version__
 from labdaemon.cli.error_json import print_error
 from labdaemon.errors import LabdaemonError
+from labdaemon.version import __version__
 
 COMMANDS = {
     "demo": ("labdaemon.cli.demo:demo", "Run a campaign on a simulated rig and compare it with the truth."),

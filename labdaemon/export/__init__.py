@@ -3,6 +3,6 @@
 from labdaemon.analysis.verification import CRATE
 from labdaemon.export.cube import EnvelopeCube
 from labdaemon.export.formats import FORMATS, export_folder
-from labdaemon.export.results import CaptureFacts, FolderResults, read_results
+from labdaemon.export.results import FolderResults, read_results
 
-__all__ = ["CRATE", "FORMATS", "CaptureFacts", "EnvelopeCube", "FolderResults", "export_folder", "read_results"]
+__all__ = ["CRATE", "FORMATS", "EnvelopeCube", "FolderResults", "export_folder", "read_results"]

@@ -11,11 +11,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from labdaemon import __version__
 from labdaemon.analysis.verification import CRATE
 from labdaemon.clock import rfc3339
 from labdaemon.export.results import FolderResults
 from labdaemon.file_hash import sha256_of
+from labdaemon.version import __version__
 
 PROJECT = "labdaemon"
 MEDIA_TYPES = {

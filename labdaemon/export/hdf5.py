@@ -11,9 +11,9 @@ from typing import Any
 
 import h5py
 
-from labdaemon import __version__
 from labdaemon.export.cube import PER_CAPTURE, SCALARS, VECTORS, EnvelopeCube
 from labdaemon.export.results import FolderResults
+from labdaemon.version import __version__
 
 
 def write(results: FolderResults, path: Path) -> None:

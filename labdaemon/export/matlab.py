@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
-from labdaemon import __version__
 from labdaemon.export.cube import EnvelopeCube
 from labdaemon.export.results import FolderResults
+from labdaemon.version import __version__
 
 
 def write(results: FolderResults, path: Path) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdaemon import __version__
 from labdaemon.export.cube import PER_CAPTURE, SCALARS, VECTORS, EnvelopeCube
 from labdaemon.export.results import FolderResults
+from labdaemon.version import __version__
 
 if TYPE_CHECKING:
     import xarray as xr

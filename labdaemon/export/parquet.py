@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from labdaemon import __version__
 from labdaemon.export.cube import PER_CAPTURE, SCALARS, EnvelopeCube
 from labdaemon.export.results import FolderResults
+from labdaemon.version import __version__
 
 _PREFIXES = {"mean_mm": "", "a_mm": "a", "b_mm": "b", "sd_mean_mm": "sd_", "sd_a_mm": "sd_a", "sd_b_mm": "sd_b"}
 """Column names of `envelope.csv`, less their axis, by vector."""

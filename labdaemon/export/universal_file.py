@@ -16,9 +16,9 @@ import numpy as np
 import pyuff
 from numpy.typing import NDArray
 
-from labdaemon import __version__
 from labdaemon.export.cube import EnvelopeCube
 from labdaemon.export.results import FolderResults
+from labdaemon.version import __version__
 
 MM = 1e-3
 _FREQUENCY, _DISPLACEMENT = 18, 8

@@ -8,6 +8,7 @@ campaign processed again gives the same numbers.
 from labdaemon.processing.boards import CharucoBoard
 from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
 from labdaemon.processing.envelope import CaptureResult, measure_capture
+from labdaemon.processing.excitation_facts import CaptureFacts, capture_facts
 from labdaemon.processing.folder import NOT_FRAMES, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
 from labdaemon.processing.frame_size import check_frame_sizes
@@ -46,6 +47,7 @@ __all__ = [
     "RESULTS",
     "BlurredTarget",
     "CameraCalibration",
+    "CaptureFacts",
     "CaptureResult",
     "CharucoBoard",
     "FolderResult",
@@ -57,6 +59,7 @@ __all__ = [
     "board_files",
     "calibrate",
     "calibrate_export",
+    "capture_facts",
     "check_frame_sizes",
     "csv_text",
     "frame_shift",

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from labdaemon.orbit_size import is_doubtful
 from labdaemon.report.accuracy import TargetComparison, row_axes
 
-MAGNIFY = 20.0
-"""Motion is drawn this many times larger than the structure, as in McCarthy 2016, Fig. 10."""
+READABLE_SHARE = 0.1
+"""Share of the structure's size that the largest motion fills when it is drawn."""
 _STOPS = ((59, 111, 182), (108, 92, 201), (170, 71, 188), (222, 66, 118), (233, 84, 52))
 """Small to large amplitude; legible on white and on black."""
-_ORBIT = np.linspace(0.0, 2 * math.pi, 49)
+FLAT_SHARE = 0.05
+"""Depth, as a share of the width, up to which everything counts as one plane: one view shows it all."""
+_THIN_PX = 0.5
+"""Semi-axis below which an ellipse would not be drawn at all."""
 
 
 def colour(share: float) -> str:
@@ -29,6 +32,23 @@ def colour(share: float) -> str:
     low = min(int(place), len(_STOPS) - 2)
     mix = [round(a + (b - a) * (place - low)) for a, b in zip(_STOPS[low], _STOPS[low + 1], strict=True)]
     return "#{:02x}{:02x}{:02x}".format(*mix)
+
+
+def magnification(places_mm: Sequence[Sequence[float]], amplitudes_mm: Sequence[float]) -> float:
+    """A round factor at which the largest motion is readable: about a tenth of the structure's size.
+
+    Parameters
+    ----------
+    places_mm
+        (n, 3) positions.
+    amplitudes_mm
+        Amplitudes that count; none where all are doubtful.
+    """
+    size = float(np.linalg.norm(np.ptp(np.array(places_mm, dtype=float).reshape(-1, 3), axis=0)))
+    largest = max(amplitudes_mm, default=0.0)
+    if largest <= 0 or size <= 0:
+        return 1.0
+    return _round_down(READABLE_SHARE * size / largest)
 
 
 def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) -> str:
@@ -44,120 +64,134 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     Returns
     -------
     str
-        An ``<svg>`` element: a front view (x, z), and a side view (y, z) unless everything lies in one plane.
+        An ``<svg>`` element: a front view (x, z), a side view (y, z) and a plan (x, y); the front view alone where
+        everything lies in one plane.
     """
     moving = [(row, axes) for row in rows if (axes := row_axes(row)) is not None and row.get("x_mm") is not None]
     if not moving:
         return "<p>Nothing was measured in this capture.</p>"
     centres = np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for row, _ in moving])
-    orbits = [
-        centre + MAGNIFY * (np.outer(np.sin(_ORBIT), major) + np.outer(np.cos(_ORBIT), minor))
-        for centre, (_, (major, minor)) in zip(centres, moving, strict=True)
-    ]
     lengths = [float(np.linalg.norm(major)) for _, (major, _) in moving]
     # The colour scale ends at the largest target without a doubt, or one doubtful target pales all the others.
     sure = [length for length, (row, _) in zip(lengths, moving, strict=True) if not is_doubtful(row)]
     largest = max(sure or lengths)
-    drawn = np.vstack(orbits)
-    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    magnify = magnification(centres.tolist(), sure)
+    axes = magnify * np.array([pair for _, pair in moving])
+    reach = np.sqrt(np.sum(axes**2, axis=1))  # of an ellipse along each coordinate
+    low, high = (centres - reach).min(axis=0), (centres + reach).max(axis=0)
     room = 0.06 * float((high - low).max())  # so that a view from the side is no sliver
     low, high = low - np.array([room, room, 0.0]), high + np.array([room, room, 0.0])
     spans = np.maximum(high - low, 1.0)
-    views = [(0, "x")] + ([(1, "y")] if spans[1] - 2 * room > 0.05 * spans[0] else [])
+    views = [(0, 2)]
+    if spans[1] - 2 * room > FLAT_SHARE * spans[0]:
+        views += [(1, 2), (0, 1)]
     margin, gap = 46.0, 62.0
-    scale = (height - 2 * margin) / max(float(spans[2]), 0.35 * float(max(spans[axis] for axis, _ in views)))
+    across, tall = (float(max(spans[view[place]] for view in views)) for place in (0, 1))
+    scale = (height - 2 * margin) / max(tall, 0.35 * across)
     parts: list[str] = []
     left = margin + 14
-    for axis, name in views:
-        view = _FigureView(axis, left, margin, scale, low, high)
-        parts += view.frame(name)
-        for (row, _), centre, orbit, length in zip(moving, centres, orbits, lengths, strict=True):
-            parts += view.target(row, centre, orbit, length, largest)
+    for axis, up in views:
+        view = _FigureView(axis, up, left, margin, scale, low, high)
+        parts += view.frame()
+        for (row, _), centre, pair, length in zip(moving, centres, axes, lengths, strict=True):
+            parts.append(view.target(row, centre, pair, length, largest))
         left += float(spans[axis]) * scale + gap
     width = left - gap + 140
-    parts += _legend(width - 108, margin, largest, scale)
-    drawn_height = float(spans[2]) * scale + 2 * margin
+    parts += _legend(width - 108, margin, largest, magnify * scale)
+    drawn_height = tall * scale + 2 * margin
     return (
         f'<svg viewBox="0 0 {width:.0f} {drawn_height:.0f}" width="{width:.0f}" role="img" '
-        f'aria-label="Envelope, motion magnified {MAGNIFY:g} times">{"".join(parts)}</svg>'
+        f'aria-label="Envelope, motion magnified {magnify:g} times">{"".join(parts)}</svg>'
     )
 
 
 class _FigureView:
-    """One orthogonal view: a horizontal axis of object space to the right, Z up."""
+    """One orthogonal view: one axis of object space to the right, another up."""
 
     def __init__(
         self,
         axis: int,
+        up: int,
         left: float,
         top: float,
         scale: float,
         low: NDArray[np.float64],
         high: NDArray[np.float64],
     ) -> None:
-        self.axis, self.left, self.top, self.scale = axis, left, top, scale
-        self.low, self.high = (float(low[axis]), float(low[2])), (float(high[axis]), float(high[2]))
+        self.axis, self.up, self.left, self.top, self.scale = axis, up, left, top, scale
+        self.low, self.high = (float(low[axis]), float(low[up])), (float(high[axis]), float(high[up]))
         self.right = left + (self.high[0] - self.low[0]) * scale
         self.bottom = top + (self.high[1] - self.low[1]) * scale
 
     def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) millimetres to (n, 2) of the drawing."""
         across = self.left + (points[:, self.axis] - self.low[0]) * self.scale
-        down = self.bottom - (points[:, 2] - self.low[1]) * self.scale
+        down = self.bottom - (points[:, self.up] - self.low[1]) * self.scale
         return np.stack([across, down], axis=1)
 
-    def frame(self, name: str) -> list[str]:
+    def frame(self) -> list[str]:
         """Grid, ticks and axis names."""
         parts = [
             f'<rect x="{self.left - 8:.1f}" y="{self.top - 8:.1f}" width="{self.right - self.left + 16:.1f}" '
             f'height="{self.bottom - self.top + 16:.1f}" fill="none" stroke="var(--grid)"/>'
         ]
-        for value in _ticks(self.low[0], self.high[0], (self.right - self.left) / 80):
+        for value in axis_ticks(self.low[0], self.high[0], (self.right - self.left) / 80):
             x = self.left + (value - self.low[0]) * self.scale
             parts.append(
                 f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{self.top - 8:.1f}" y2="{self.bottom + 8:.1f}" '
                 f'stroke="var(--grid)"/>'
             )
-            parts.append(_text(x, self.bottom + 22, f"{value:g}", "middle"))
-        for value in _ticks(self.low[1], self.high[1], (self.bottom - self.top) / 60):
+            parts.append(svg_text(x, self.bottom + 22, f"{value:g}", "middle"))
+        for value in axis_ticks(self.low[1], self.high[1], (self.bottom - self.top) / 60):
             y = self.bottom - (value - self.low[1]) * self.scale
             parts.append(
                 f'<line x1="{self.left - 8:.1f}" x2="{self.right + 8:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
                 f'stroke="var(--grid)"/>'
             )
-            parts.append(_text(self.left - 13, y + 3.5, f"{value:g}", "end"))
-        parts.append(_text((self.left + self.right) / 2, self.bottom + 38, f"{name} mm", "middle"))
-        parts.append(_text(self.left - 8, self.top - 16, "z mm", "start"))
+            parts.append(svg_text(self.left - 13, y + 3.5, f"{value:g}", "end"))
+        parts.append(svg_text((self.left + self.right) / 2, self.bottom + 38, f"{'xyz'[self.axis]} mm", "middle"))
+        parts.append(svg_text(self.left - 8, self.top - 16, f"{'xyz'[self.up]} mm", "start"))
         return parts
 
     def target(
         self,
         row: Mapping[str, Any],
         centre: NDArray[np.float64],
-        orbit: NDArray[np.float64],
+        axes: NDArray[np.float64],
         length: float,
         largest: float,
-    ) -> list[str]:
-        """A target's orbit, with its name and numbers to read on hovering."""
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in self.place(orbit))
+    ) -> str:
+        """A target's orbit, with its name and numbers to read on hovering.
+
+        Parameters
+        ----------
+        row
+            Of `envelope.csv`.
+        centre
+            (3,) mm.
+        axes
+            (2, 3) semi-axes of the orbit, magnified, mm. The shadow of an ellipse is an ellipse; its axes are the
+            singular values of theirs.
+        length, largest
+            Amplitude, and the amplitude at the end of the colour scale, mm.
+        """
         (x, y), *_ = self.place(centre[None, :])
+        shadow = self.scale * axes[:, [self.axis, self.up]].T * np.array([[1.0], [-1.0]])
+        turn, size, _ = np.linalg.svd(shadow)
+        angle = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
         flags = row.get("flags") or []
         title = escape(f"{row['target']}: {length:.3f} mm" + (f" ({', '.join(flags)})" if flags else ""))
-        dash = ' stroke-dasharray="3 3"' if flags else ""
         tint = colour(length / largest if largest else 0.0)
-        quarter = (len(_ORBIT) - 1) // 4
-        ends = "".join(
-            f'<circle cx="{end_x:.1f}" cy="{end_y:.1f}" r="2.6" fill="{tint}"/>'
-            for end_x, end_y in self.place(orbit[[quarter, 3 * quarter]])
+        dash = ' stroke-dasharray="3 3"' if flags else ""
+        return (
+            f'<ellipse rx="{max(size[0], _THIN_PX):.1f}" ry="{max(size[1], _THIN_PX):.1f}" '
+            f'transform="translate({x:.1f} {y:.1f})rotate({angle:.1f})" fill="{tint}" stroke="{tint}"{dash}>'
+            f"<title>{title}</title></ellipse>"
+            f'<path d="M{x:.1f} {y:.1f}h0"/>'
         )
-        return [
-            f'<g><title>{title}</title><polygon points="{path}" fill="{tint}" fill-opacity="0.18" stroke="{tint}" '
-            f'stroke-width="2" stroke-linejoin="round"{dash}/>{ends}'
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.1" fill="var(--ink)"/></g>'
-        ]
 
 
-def _legend(left: float, top: float, largest: float, scale: float) -> list[str]:
+def _legend(left: float, top: float, largest: float, motion_scale: float) -> list[str]:
     """Colour bar of the amplitude, and a bar of drawn motion."""
     parts = []
     for band in range(24):
@@ -165,17 +199,18 @@ def _legend(left: float, top: float, largest: float, scale: float) -> list[str]:
         parts.append(
             f'<rect x="{left:.1f}" y="{top + 18 + band * 5:.1f}" width="12" height="5.4" fill="{colour(share)}"/>'
         )
-    parts.append(_text(left, top + 8, "amplitude mm", "start"))
+    parts.append(svg_text(left, top + 8, "amplitude mm", "start"))
     parts += [
-        _text(left + 18, top + 26 + offset * 114, f"{value:.3g}", "start")
+        svg_text(left + 18, top + 26 + offset * 114, f"{value:.3g}", "start")
         for offset, value in ((0.0, largest), (0.5, largest / 2), (1.0, 0.0))
     ]
-    unit = _round_down(40 / (MAGNIFY * scale))
-    length, y = unit * MAGNIFY * scale, top + 180
+    unit = _round_down(40 / motion_scale)
+    length, y = unit * motion_scale, top + 180
     parts.append(
-        f'<path d="M{left:.1f} {y - 4:.1f}v8M{left:.1f} {y:.1f}h{length:.1f}m0 -4v8" stroke="var(--ink)" fill="none"/>'
+        f'<path class="bar-of-motion" stroke="var(--ink)" fill="none" '
+        f'd="M{left:.1f} {y - 4:.1f}v8M{left:.1f} {y:.1f}h{length:.1f}m0 -4v8"/>'
     )
-    parts.append(_text(left, y + 19, f"{unit:g} mm of motion", "start"))
+    parts.append(svg_text(left, y + 19, f"{unit:g} mm of motion", "start"))
     return parts
 
 
@@ -203,16 +238,16 @@ def errors_svg(
         return (top + bottom) / 2 - (bottom - top) / 2 * value / reach
 
     parts = []
-    for value in _ticks(-reach, reach, 5):
+    for value in axis_ticks(-reach, reach, 5):
         parts.append(
             f'<line x1="{left}" x2="{right}" y1="{down(value):.1f}" y2="{down(value):.1f}" '
             f'stroke="var({"--faint" if value == 0 else "--grid"})"/>'
         )
-        parts.append(_text(left - 6, down(value) + 3.5, f"{value:g}", "end"))
-    for value in _ticks(0, most, 8):
-        parts.append(_text(across(value), bottom + 16, f"{value:g}", "middle"))
-    parts.append(_text((left + right) / 2, bottom + 33, "true semi-amplitude mm", "middle"))
-    parts.append(_text(14, (top + bottom) / 2, "error mm", "middle", turn=True))
+        parts.append(svg_text(left - 6, down(value) + 3.5, f"{value:g}", "end"))
+    for value in axis_ticks(0, most, 8):
+        parts.append(svg_text(across(value), bottom + 16, f"{value:g}", "middle"))
+    parts.append(svg_text((left + right) / 2, bottom + 33, "true semi-amplitude mm", "middle"))
+    parts.append(svg_text(14, (top + bottom) / 2, "error mm", "middle", turn=True))
     for name, pair in points:
         tint = colour(names.index(name) / max(len(names) - 1, 1))
         x, error, sd = across(pair.true_mm), pair.error_mm or 0.0, pair.sd_mm or 0.0
@@ -226,19 +261,20 @@ def errors_svg(
         y = top + 12 + place * 17
         tint = colour(place / max(len(names) - 1, 1))
         parts.append(f'<circle cx="{right + 16:.1f}" cy="{y - 4:.1f}" r="4" fill="{tint}"/>')
-        parts.append(_text(right + 26, y, name, "start"))
+        parts.append(svg_text(right + 26, y, name, "start"))
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" role="img" '
         f'aria-label="Errors over amplitude">{"".join(parts)}</svg>'
     )
 
 
-def _text(x: float, y: float, text: str, anchor: str, *, turn: bool = False) -> str:
+def svg_text(x: float, y: float, text: str, anchor: str, *, turn: bool = False) -> str:
+    """A ``<text>`` element; `turn` writes upwards."""
     rotation = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if turn else ""
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{rotation}>{escape(text)}</text>'
 
 
-def _ticks(low: float, high: float, about: float) -> list[float]:
+def axis_ticks(low: float, high: float, about: float) -> list[float]:
     """Round values between two ends, roughly `about` of them."""
     step = _round_down((high - low) / max(about, 1.0)) or 1.0
     first = math.ceil(low / step - 1e-9)

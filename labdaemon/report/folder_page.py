@@ -10,10 +10,12 @@ from typing import Any
 import cv2
 
 from labdaemon.errors import ConfigError, DataError
-from labdaemon.processing import NOT_FRAMES, Row, read_csv
+from labdaemon.processing import NOT_FRAMES, CaptureFacts, Row, capture_facts, open_folder, read_csv
 from labdaemon.report.accuracy import CaptureAccuracy, compare
-from labdaemon.report.html import CaptureSection, PageImage, write_page
+from labdaemon.report.gauge_comparison import read_gauges
+from labdaemon.report.html import CaptureSection, PageImage, PageSupplement, write_page
 from labdaemon.report.overlay import overlay_path
+from labdaemon.report.provenance import provenance
 from labdaemon.tomlfile import read_toml
 
 IMAGE_WIDTH_PX = 760
@@ -71,7 +73,7 @@ def report_folder(
         There are no results, or the page cannot be written.
     """
     results = results or folder / "results"
-    facts = _facts(folder)
+    facts, known = _facts(folder), capture_facts(folder)
     cameras = sorted({path.stem for path in folder.glob("captures/*/*") if path.suffix not in NOT_FRAMES})
     measured = envelopes(results)
     if len(measured) > MAX_ILLUSTRATED:
@@ -83,11 +85,17 @@ def report_folder(
             facts.get(name, {}),
             _overlays(results, name, cameras),
             compare(name, rows, truth[name]) if truth and name in truth else None,
+            about.frequency_hz,
+            about.excitation_amplitude_mm,
+            about.is_phase_known,
         )
         for name, rows in measured.items()
+        for about in [known.get(name, CaptureFacts())]
     ]
+    gauges = read_gauges(results / "gauges.csv", measured, _stands_for(folder))
     page = results / "index.html"
-    write_page(page, title, "; ".join(part for part in (subtitle, _line_note(folder)) if part), shown)
+    heading = "; ".join(part for part in (subtitle, _line_note(folder)) if part)
+    write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder)))
     return page, [one.accuracy for one in shown if one.accuracy is not None]
 
 
@@ -99,6 +107,14 @@ def _line_note(folder: Path) -> str:
         return ""
     is_accepted = isinstance(interlocks, dict) and interlocks.get("accept_no_enable") is True
     return "taken with accept_no_enable: the table needed no proven enable line" if is_accepted else ""
+
+
+def _stands_for(folder: Path) -> dict[str, tuple[str, ...]]:
+    """Patterns of targets by gauge; empty where the rig file cannot be read, as the page needs none."""
+    try:
+        return open_folder(folder).rig.stands_for
+    except (ConfigError, DataError):
+        return {}
 
 
 def _facts(folder: Path) -> dict[str, dict[str, str]]:

@@ -18,7 +18,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from labdaemon.durable import write_durably
 from labdaemon.orbit_size import largest_motion
 from labdaemon.report.accuracy import FLOOR_MM, CaptureAccuracy, row_axes, semi_amplitude_sd_mm, summary
-from labdaemon.report.figures import MAGNIFY, envelope_svg, errors_svg
+from labdaemon.report.figures import envelope_svg, errors_svg
+from labdaemon.report.gauge_comparison import GaugeReading
+from labdaemon.report.page_tables import PageGrid, amplitude_chart, flagged_table, gauge_tables, number_text
+from labdaemon.report.provenance import Provenance
+from labdaemon.report.space_view import SpaceCapture, space_json
+from labdaemon.report.uncertainty_budget import budget
+
+MAX_DRAWN = 24
+"""Captures up to which each has its own views; the view in space shows larger campaigns, which keeps the page small."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +64,10 @@ class CaptureSection:
         Overlays of the frames, if there are any.
     accuracy
         Against the truth, if it is known.
+    frequency_hz, table_mm
+        Excitation: frequency, and amplitude of the table; None where unknown.
+    is_phase_known
+        Whether a and b have the phase of the excitation.
     """
 
     name: str
@@ -63,9 +75,34 @@ class CaptureSection:
     about: Mapping[str, str] = field(default_factory=dict)
     overlays: Sequence[PageImage] = ()
     accuracy: CaptureAccuracy | None = None
+    frequency_hz: float | None = None
+    table_mm: float | None = None
+    is_phase_known: bool = False
 
 
-def write_page(path: Path, title: str, subtitle: str, captures: Sequence[CaptureSection]) -> None:
+@dataclass(frozen=True, slots=True)
+class PageSupplement:
+    """What the page shows of all captures together, and of their origin.
+
+    Attributes
+    ----------
+    gauges
+        What each gauge saw, with the image results that it can be compared with.
+    provenance
+        None where it is not known.
+    """
+
+    gauges: Sequence[GaugeReading] = ()
+    provenance: Provenance | None = None
+
+
+def write_page(
+    path: Path,
+    title: str,
+    subtitle: str,
+    captures: Sequence[CaptureSection],
+    supplement: PageSupplement | None = None,
+) -> None:
     """Write the page whole or not at all.
 
     Raises
@@ -73,19 +110,12 @@ def write_page(path: Path, title: str, subtitle: str, captures: Sequence[Capture
     StorageError
         The folder cannot be written.
     """
-    write_durably(path, page(title, subtitle, captures))
+    write_durably(path, page(title, subtitle, captures, supplement))
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """A table: its head, its lines, and whether the last column holds flags."""
-
-    head: Sequence[str]
-    lines: Sequence[Sequence[str]]
-    flags: bool = False
-
-
-def page(title: str, subtitle: str, captures: Sequence[CaptureSection]) -> str:
+def page(
+    title: str, subtitle: str, captures: Sequence[CaptureSection], supplement: PageSupplement | None = None
+) -> str:
     """The page's text, from the template ``templates/page.html``.
 
     Parameters
@@ -94,7 +124,11 @@ def page(title: str, subtitle: str, captures: Sequence[CaptureSection]) -> str:
         Plain text.
     captures
         In the order they are shown.
+    supplement
+        What is shown of all captures together; nothing if None.
     """
+    more = supplement or PageSupplement()
+    rows = [row for capture in captures for row in capture.rows]
     compared = [capture.accuracy for capture in captures if capture.accuracy is not None]
     return (
         _environment()
@@ -105,8 +139,14 @@ def page(title: str, subtitle: str, captures: Sequence[CaptureSection]) -> str:
             style=_environment().get_template("page.css").render(),
             facts=_overview(captures),
             accuracy=_accuracy(compared) if compared else None,
-            magnify=f"{MAGNIFY:g}",
-            captures=[_capture(capture) for capture in captures],
+            captures=[_capture(capture, is_drawn=len(captures) <= MAX_DRAWN) for capture in captures],
+            space=_space(captures),
+            script=_environment().get_template("space.js").render(),
+            chart=amplitude_chart(captures),
+            gauges=gauge_tables(more.gauges),
+            budget=budget(rows),
+            flagged=flagged_table(captures),
+            provenance=more.provenance,
         )
     )
 
@@ -148,39 +188,39 @@ def _accuracy(compared: Sequence[CaptureAccuracy]) -> dict[str, Any]:
             str(one.targets),
             str(one.unflagged),
             str(one.compared),
-            _number(one.mean_mm, "+.4f"),
-            _number(one.sd_mm, ".4f"),
-            _number(one.p95_mm, ".4f"),
+            number_text(one.mean_mm, "+.4f"),
+            number_text(one.sd_mm, ".4f"),
+            number_text(one.p95_mm, ".4f"),
         )
         for one in [*compared, pooled]
     ]
     figure = errors_svg({one.capture: one.pairs for one in compared})
-    return {"floor_mm": f"{FLOOR_MM:g}", "grid": _Grid(head, lines), "figure": figure}
+    return {"floor_mm": f"{FLOOR_MM:g}", "grid": PageGrid(head, lines), "figure": figure}
 
 
-def _capture(capture: CaptureSection) -> dict[str, Any]:
+def _space(captures: Sequence[CaptureSection]) -> str:
+    return space_json([SpaceCapture(one.name, one.rows, one.is_phase_known, one.frequency_hz) for one in captures])
+
+
+def _capture(capture: CaptureSection, *, is_drawn: bool) -> dict[str, Any]:
     """What the template shows of one capture."""
     head = ("target", "x mm", "y mm", "z mm", "amplitude mm", "sd mm", "direction x", "y", "z", "minor mm", "flags")
     return {
         "name": capture.name,
         "about": capture.about,
-        "figure": envelope_svg(capture.rows),
+        "figure": envelope_svg(capture.rows) if is_drawn else None,
         "overlays": capture.overlays,
-        "grid": _Grid(head, [_row(row) for row in capture.rows], flags=True),
+        "grid": PageGrid(head, [_row(row) for row in capture.rows], flags=True),
     }
 
 
 def _row(row: Mapping[str, Any]) -> tuple[str, ...]:
     axes = row_axes(row)
     flags = ", ".join(row.get("flags") or ())
-    place = tuple(_number(row.get(name), ".2f") for name in ("x_mm", "y_mm", "z_mm"))
+    place = tuple(number_text(row.get(name), ".2f") for name in ("x_mm", "y_mm", "z_mm"))
     if axes is None:
         return (str(row["target"]), *place, "", "", "", "", "", "", flags)
     major, minor = (math.sqrt(float(axis @ axis)) for axis in axes)
     direction = tuple(f"{part / major:+.3f}" if major > 0 else "" for part in axes[0])
-    sd = _number(semi_amplitude_sd_mm(row), ".4f")
+    sd = number_text(semi_amplitude_sd_mm(row), ".4f")
     return (str(row["target"]), *place, f"{major:.4f}", sd, *direction, f"{minor:.4f}", flags)
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None or math.isnan(value) else format(value, form)

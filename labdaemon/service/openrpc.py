@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 from pydantic.json_schema import models_json_schema
 
-from labdaemon import __version__
 from labdaemon.events import event_schema
 from labdaemon.events.payloads import EventPart
 from labdaemon.service.campaign_queries import MOST_LISTED
@@ -17,6 +16,7 @@ from labdaemon.stream import messages, results
 from labdaemon.stream.publisher import MAX_REPLAY
 from labdaemon.stream.roles import OBSERVER_COMMANDS
 from labdaemon.tomlfile import MAX_BYTES
+from labdaemon.version import __version__
 
 Schema: TypeAlias = dict[str, Any]
 """A JSON Schema."""

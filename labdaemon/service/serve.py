@@ -11,7 +11,6 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from labdaemon import __version__
 from labdaemon.campaign.campaign_file import load_campaign
 from labdaemon.campaign.engine import Engine
 from labdaemon.campaign.interlocks import InterlockLimits
@@ -43,6 +42,7 @@ from labdaemon.service.supervise import as_failure, supervise
 from labdaemon.service.watchdog import notify
 from labdaemon.stream.dispatcher import Handler
 from labdaemon.stream.publisher import EventPublisher, latest, replay
+from labdaemon.version import __version__
 
 log: logging.Logger = logging.getLogger(__name__)
 

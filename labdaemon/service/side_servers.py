@@ -8,7 +8,6 @@ from collections.abc import Awaitable, Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from labdaemon import __version__
 from labdaemon.clock import Clock
 from labdaemon.gateway.answers import identity_text
 from labdaemon.gateway.client_state import GatewayAccess, GatewayContext
@@ -22,6 +21,7 @@ from labdaemon.stream.access_token import AccessToken
 from labdaemon.stream.command_call import Execute
 from labdaemon.stream.event_feed import EventFeed
 from labdaemon.stream.roles import Role
+from labdaemon.version import __version__
 
 if TYPE_CHECKING:
     from labdaemon.web.web_server import WebServer

@@ -1,0 +1,5 @@
+"""Version of labdaemon, where every floor can read it."""
+
+from __future__ import annotations
+
+__version__ = "0.2.0"
