@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from labdaemon import __version__
 from labdaemon.events import KINDS
 from labdaemon.service.openrpc import METHODS, REFERENCE, all_schemas, openrpc_document
 from labdaemon.stream.client import COMMANDS, EVENTS
+from labdaemon.version import __version__
 
 ASYNCAPI_VERSION = "3.0.0"
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
