@@ -7,6 +7,7 @@ import logging
 import re
 from contextlib import suppress
 
+from labdaemon.errors import LabdaemonError
 from labdaemon.gateway.client_state import ClientState, EndOfSession
 from labdaemon.gateway.line_splitter import LineSplitter
 from labdaemon.gateway.scpi_errors import ScpiError
@@ -149,6 +150,9 @@ class TextConnection:
             return await run_line(self.client, text)
         except EndOfSession as exc:
             raise ConnectionRefusal(str(exc)) from None
+        except LabdaemonError as exc:  # the journal cannot be read now
+            self.client.record(ScpiError(-310, str(exc)))
+            return None
         except Exception:  # a slip of ours: the client learns of it, and the next line is carried out
             log.exception("a line of the text gateway failed")
             self.client.record(ScpiError(-310, "see the daemon's log"))

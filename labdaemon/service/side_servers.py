@@ -110,6 +110,7 @@ class SideServers:
             operator=self._token(section.token_file, "web.token_file"),
             observer=self._token(section.observer_token_file, "web.observer_token_file"),
             is_open=section.is_loopback and not self._config.service.restricts_operators,
+            takes_numbers=not section.is_loopback,
         )
         server: WebServer = module.WebServer(section.address, self._execute, self._journal, access)
         return server

@@ -32,6 +32,7 @@ class FakeOutbox:
 
     def __init__(self) -> None:
         self.events: list[EventText] = []
+        self.cut_before = 1
 
     @property
     def last_seq(self) -> int:
@@ -42,6 +43,7 @@ class FakeOutbox:
         self.events.append(EventText(seq, kind, json.dumps(event_document(seq, kind, **data)).encode()))
 
     def recent(self, seq: int, limit: int, most_bytes: int) -> list[EventText]:
+        seq = max(seq, self.cut_before - 1)
         return self.events[seq : seq + limit]
 
     history = recent

@@ -112,6 +112,8 @@ class EventStreamResponse:
                 await asyncio.sleep(DISK_S)
                 yield b": the disk is waited for\n\n"
                 continue
+            if events[0].seq > seq + 1:  # what was between was cut from the journal
+                yield b'event: gone\ndata: {"gone_before": %d}\n\n' % events[0].seq
             for event in events:
                 yield event_lines(event)
                 seq = event.seq

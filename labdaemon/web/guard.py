@@ -12,6 +12,7 @@ import base64
 import binascii
 from collections.abc import Mapping
 from dataclasses import dataclass
+from ipaddress import ip_address
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
@@ -51,12 +52,26 @@ class WebAccess:
         Tokens; None where none is set.
     is_open
         Whether reading needs no token.
+    takes_numbers
+        Whether it may also be asked under any address in numbers. A page's own name cannot be one, so this lets no
+        rebinding in.
     """
 
     hosts: frozenset[str]
     operator: AccessToken | None
     observer: AccessToken | None
     is_open: bool
+    takes_numbers: bool = False
+
+    def is_host(self, name: str) -> bool:
+        """Whether the server may be asked under this name."""
+        if name in self.hosts:
+            return True
+        try:
+            ip_address(name)
+        except ValueError:
+            return False
+        return self.takes_numbers
 
     def role_of(self, scheme: str, word: str) -> Role | None:
         """The role that a word gives; None for a wrong one.
@@ -119,7 +134,7 @@ class RequestGuard:
 
     def _refusal(self, method: str, headers: Headers) -> tuple[int, str] | None:
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or host_name(hosts[0]) not in self._access.hosts:
+        if len(hosts) != 1 or not self._access.is_host(host_name(hosts[0])):
             return 421, "this server is not asked under that name; list it under [web] hosts"
         origins = headers.getlist("origin")
         if method not in READS:

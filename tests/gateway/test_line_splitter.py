@@ -8,10 +8,10 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labdaemon.gateway.pace import Pace
 
 from labdaemon.clock import SimulatedClock
 from labdaemon.gateway.line_splitter import LONGEST_LINE, MOST_WITHOUT_END, LineSplitter
+from labdaemon.stream.pace import Pace
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import socket
+import subprocess
+import sys
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -120,3 +122,9 @@ def test_servers_change_no_results(config: Path, token_file: Path):
     before = load_rig(config).digest
     add_sections(config, '\n[gateway]\naddress = "tcp://0.0.0.0:5025"\ntoken_file = "web.token"\n')
     assert load_rig(config).digest == before
+
+
+def test_nothing_of_the_web_is_loaded_without_its_section():
+    code = "import sys, labdaemon.cli.main, labdaemon.cli.remote, labdaemon.service.serve; "
+    code += "sys.exit(bool({'uvicorn', 'starlette', 'paho', 'labdaemon.web'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0

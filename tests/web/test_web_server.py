@@ -409,6 +409,26 @@ async def test_an_address_that_is_taken_is_refused_by_its_key(serve, daemon: Fak
         other.bind()
 
 
+async def test_what_was_cut_from_the_journal_is_said(serve, listen, daemon: FakeDaemon):
+    for place in range(5):
+        daemon.outbox.add("fault", message=str(place))
+    daemon.outbox.cut_before = 4
+    source = await listen(serve(), "/events?after=1")
+    await source.next()
+    assert json.loads((await source.next())["data"]) == {"gone_before": 4}
+    assert [(await source.next())["id"] for _ in range(2)] == ["4", "5"]
+
+
+@pytest.mark.parametrize(
+    ("name", "loopback", "wide"), [("10.0.0.5", False, True), ("fe80::1", False, True), ("a", True, True)]
+)
+def test_a_number_is_a_host_where_the_network_reaches_it(name: str, loopback: bool, wide: bool):
+    names = frozenset({"a"})
+    assert guard.WebAccess(names, None, None, True).is_host(name) is loopback
+    assert guard.WebAccess(names, None, None, False, takes_numbers=True).is_host(name) is wide
+    assert not guard.WebAccess(names, None, None, False, takes_numbers=True).is_host("evil.example")
+
+
 @pytest.mark.parametrize(
     ("host", "name"),
     [("localhost:80", "localhost"), ("[::1]", "::1"), ("[::1]:80", "::1"), ("A.b.", "a.b"), ("", ""), ("x:y", "x:y")],
