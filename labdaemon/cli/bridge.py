@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Literal
 
@@ -45,7 +45,7 @@ def mqtt(
         place = to_broker.connect() or (Place(after) if after is not None else None)
         sentence = f"events to {broker} under {prefix}/; Ctrl-C ends it"
         click.echo(json.dumps({"broker": broker, "prefix": prefix}) if as_json else sentence)
-        with suppress(KeyboardInterrupt), closing(follow_events(client, place)) as events:  # Ctrl-C is how it ends
+        with closing(follow_events(client, place)) as events:  # Ctrl-C is how it ends
             to_broker.run(events)
 
 
@@ -83,7 +83,7 @@ def bluesky(
     kept = read_place(state) if state is not None else None
     with _client(address) as client:
         where = DocumentPublisher(proxy or bind, is_proxy=proxy is not None, serializer=serializer)
-        with where as publisher, suppress(KeyboardInterrupt):
+        with where as publisher:
             sentence = f"documents on {publisher.address}; Ctrl-C ends it"
             click.echo(json.dumps({"documents": publisher.address}) if as_json else sentence)
             if wait:
