@@ -32,6 +32,7 @@ COMMANDS = {
     "measure": ("labdaemon.cli.measure:measure", "Motion in pixels from a sharp and blurred frames."),
     "process": ("labdaemon.cli.process:process", "Envelopes in millimetres from a data-set folder."),
     "report": ("labdaemon.cli.report:report", "A page about a data-set folder's results."),
+    "modes": ("labdaemon.cli.modes:modes", "Resonances and mode shapes in a campaign's envelopes."),
     "compare": ("labdaemon.cli.compare:compare", "What changed between two campaigns, and where."),
     "export": ("labdaemon.cli.export:export", "Results as HDF5, Parquet, UFF, VTK, MATLAB or netCDF."),
     "verify": ("labdaemon.cli.verify:verify", "Recompute hashes, and measure the frames of a folder again."),

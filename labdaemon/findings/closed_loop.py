@@ -39,7 +39,7 @@ class ResonanceGoal:
     """
 
     band_hz: tuple[float, float]
-    sd_frequency: float = 2.5e-5
+    sd_frequency: float = 2e-5
     sd_damping: float = 0.008
     most_steps: int = 120
 

@@ -1,0 +1,139 @@
+"""The modes that a campaign's envelopes show, with their shapes, and where the next step would give most information."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labdaemon.analysis.campaign_response import TABLE_SD, CampaignResponse, read_campaign
+from labdaemon.findings import Mode, ModeSearch, candidate_frequencies, find_modes, next_frequency
+from labdaemon.findings.modal_state import ModalState, state_of
+from labdaemon.findings.mode_shape import ModeShape, ShapePoint, antinodes, nodes, section_motions, share_along
+from labdaemon.findings.propagation import Estimate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeReport:
+    """One mode as a person wants it.
+
+    Attributes
+    ----------
+    mode
+        Frequency, damping, evidence.
+    shape
+        Residue at each target, mm per mm of the table.
+    nodes, antinodes
+        On each member.
+    out_of_plane
+        Part of the squared motion across the table's direction (along y).
+    torsion_per_mm
+        Of the highest level with two targets or more; None without one.
+    """
+
+    mode: Mode
+    shape: ModeShape
+    nodes: tuple[ShapePoint, ...]
+    antinodes: tuple[ShapePoint, ...]
+    out_of_plane: Estimate
+    torsion_per_mm: Estimate | None
+
+    def to_json(self, targets: tuple[str, ...]) -> dict[str, Any]:
+        """Numbers by name; shapes in mm per mm of the table, without the mode's dynamic amplification."""
+        sd = np.sqrt(np.maximum(np.diag(self.shape.covariance), 0.0)).reshape(len(targets), -1)
+        return {
+            "frequency_hz": self.mode.frequency_hz,
+            "sd_frequency_hz": self.mode.sd_frequency_hz,
+            "damping": self.mode.damping,
+            "sd_damping": self.mode.sd_damping,
+            "p_value": self.mode.p_value,
+            "shape": {
+                name: {"value": value.tolist(), "sd": error.tolist()}
+                for name, value, error in zip(targets, self.shape.vectors.real, sd, strict=True)
+            },
+            "nodes": [{"member": one.member, "height_mm": one.height_mm, "sd_mm": one.sd_mm} for one in self.nodes],
+            "antinodes": [
+                {"member": one.member, "height_mm": one.height_mm, "sd_mm": one.sd_mm} for one in self.antinodes
+            ],
+            "out_of_plane": {"value": self.out_of_plane.value, "sd": self.out_of_plane.sd},
+            "torsion_per_mm": None
+            if self.torsion_per_mm is None
+            else {"value": self.torsion_per_mm.value, "sd": self.torsion_per_mm.sd},
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampaignModes:
+    """What a folder's envelopes show.
+
+    Attributes
+    ----------
+    targets
+        Names.
+    modes
+        In ascending frequency; empty where there is none.
+    next_hz
+        Frequency of the step that would give most information on the poles; None without modes.
+    notes
+        Why there are no more modes, and what was left out.
+    """
+
+    targets: tuple[str, ...]
+    modes: tuple[ModeReport, ...]
+    next_hz: float | None
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that `labdaemon modes --json` prints."""
+        return {
+            "modes": [one.to_json(self.targets) for one in self.modes],
+            "next_hz": self.next_hz,
+            "notes": list(self.notes),
+        }
+
+
+def campaign_modes(folder: Path) -> CampaignModes:
+    """Find the modes in a data-set folder's results.
+
+    Raises
+    ------
+    DataError, ConfigError
+        The folder has no usable envelopes; the message names it.
+    """
+    campaign = read_campaign(folder)
+    found = find_modes(campaign.series)
+    notes = (*campaign.notes, *found.reasons)
+    if found.fit is None or not found.modes:
+        return CampaignModes(campaign.series.targets, (), None, notes)
+    state = state_of(found.fit, campaign.positions_mm, campaign.series.targets)
+    reports = tuple(_report(state, index, mode) for index, mode in enumerate(found.modes))
+    return CampaignModes(campaign.series.targets, reports, _next(campaign, found), notes)
+
+
+def _report(state: ModalState, index: int, mode: Mode) -> ModeReport:
+    size = state.shapes[index].size
+    part = slice(2 * state.modes + index * size, 2 * state.modes + (index + 1) * size)
+    shape = ModeShape(state.shapes[index].ravel(), state.covariance[part, part], state.positions_mm)
+    sections = section_motions(shape)
+    return ModeReport(
+        mode,
+        shape,
+        tuple(nodes(shape)),
+        tuple(antinodes(shape)),
+        share_along(shape, 1),
+        sections[-1].torsion_per_mm if sections else None,
+    )
+
+
+def _next(campaign: CampaignResponse, found: ModeSearch) -> float | None:
+    if found.fit is None:
+        return None
+    series = campaign.series
+    band = (float(series.frequency_hz.min()), float(series.frequency_hz.max()))
+    sd = float(np.median(series.sd_real[series.valid()]))
+    table = float(np.median(series.table_mm))
+    candidates = candidate_frequencies(found.fit, band)
+    step = next_frequency(found.fit, candidates, sd_mm=sd, sd_table=TABLE_SD, table_mm=table)
+    return None if step is None else step.frequency_hz

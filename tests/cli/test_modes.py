@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from labdaemon.bench.campaign_folder import write_campaign
+from labdaemon.bench.shear_structure import Instrument, ShearStructure
+from labdaemon.cli.main import cli
+from labdaemon.errors import DataError
+
+STRUCTURE = ShearStructure(per_column=5)
+NAMES = tuple(f"{side}{i + 1:02d}" for side in "LR" for i in range(5))
+
+
+def write(folder: Path, frequency: np.ndarray) -> Path:
+    series = Instrument().measure(STRUCTURE, frequency, np.random.default_rng(1))
+    return write_campaign(folder, replace(series, targets=NAMES), STRUCTURE.positions_mm())
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("modes") / "a", np.geomspace(4.0, 18.0, 26))
+
+
+def test_modes_of_a_sweep(campaign: Path) -> None:
+    result = CliRunner().invoke(cli, ["modes", str(campaign), "--json"], catch_exceptions=False)
+    found = json.loads(result.stdout)
+    natural = STRUCTURE.modes()[0][:2]
+    assert [one["frequency_hz"] for one in found["modes"]] == pytest.approx(natural, rel=5e-4)
+    first, second = found["modes"]
+    assert first["nodes"] == []
+    assert len(second["nodes"]) == 2, "one on each column"
+    assert second["nodes"][0]["sd_mm"] < 2.0
+    assert set(first["shape"]) == set(NAMES)
+    top = first["shape"]["L05"]
+    expected = STRUCTURE.residues()[4, 0, 0]
+    assert abs(top["value"][0]) == pytest.approx(expected, abs=0.01)
+    assert first["out_of_plane"]["value"] < 1e-3
+    assert abs(first["torsion_per_mm"]["value"]) < 5 * first["torsion_per_mm"]["sd"]
+    assert 4.0 <= found["next_hz"] <= 18.0
+
+
+def test_text(campaign: Path) -> None:
+    result = CliRunner().invoke(cli, ["modes", str(campaign)], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "5.39" in result.output
+    assert "nodes at none" in result.output
+    assert "the next step" in result.output
+
+
+def test_no_mode_is_said(tmp_path: Path) -> None:
+    folder = write(tmp_path / "b", np.array([5.0, 8.0, 12.0]))
+    result = CliRunner().invoke(cli, ["modes", str(folder)], catch_exceptions=False)
+    assert result.output.startswith("no mode\n")
+    assert "note: 3 steps with results: at least 5 are needed" in result.output
+
+
+def test_a_folder_without_results(tmp_path: Path) -> None:
+    result = CliRunner().invoke(cli, ["modes", str(tmp_path)])
+    assert isinstance(result.exception, DataError)
+    assert result.exception.exit_status == 2
