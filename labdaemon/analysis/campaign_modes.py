@@ -1,4 +1,4 @@
-"""The modes that a campaign's envelopes show, with their shapes, and where the next step would give most information."""
+"""The modes that a campaign's envelopes show, with their shapes, and the best frequency of a next step."""
 
 from __future__ import annotations
 
