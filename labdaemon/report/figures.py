@@ -67,7 +67,7 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
         An ``<svg>`` element: a front view (x, z), a side view (y, z) and a plan (x, y); the front view alone where
         everything lies in one plane.
     """
-    moving = [(row, axes) for row in rows if (axes := row_axes(row)) is not None and row.get("x_mm") is not None]
+    moving = [(row, found) for row in rows if (found := row_axes(row)) is not None and row.get("x_mm") is not None]
     if not moving:
         return "<p>Nothing was measured in this capture.</p>"
     centres = np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for row, _ in moving])

@@ -19,7 +19,7 @@ from labdaemon.report.accuracy import semi_amplitude_sd_mm
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeReading:
+class GaugeComparison:
     """What a gauge saw during a capture.
 
     Attributes
@@ -62,7 +62,7 @@ class GaugeSummary:
 
 def read_gauges(
     path: Path, envelopes: Mapping[str, Sequence[Mapping[str, Any]]], stands_for: Mapping[str, Sequence[str]]
-) -> list[GaugeReading]:
+) -> list[GaugeComparison]:
     """Rows of `gauges.csv` with the image results next to them; empty where there is no such file.
 
     Parameters
@@ -82,7 +82,7 @@ def read_gauges(
             rows = envelopes.get(line["capture"], ())
             image = _image(rows, stands_for.get(line["gauge"], ()))
             readings.append(
-                GaugeReading(
+                GaugeComparison(
                     line["capture"],
                     line["gauge"],
                     line.get("role") or "",
@@ -95,7 +95,7 @@ def read_gauges(
     return readings
 
 
-def summarise(readings: Sequence[GaugeReading]) -> list[GaugeSummary]:
+def summarise(readings: Sequence[GaugeComparison]) -> list[GaugeSummary]:
     """One summary per gauge that was compared with targets."""
     differences: dict[str, list[float]] = {}
     for reading in readings:

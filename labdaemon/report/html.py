@@ -19,7 +19,7 @@ from labdaemon.durable import write_durably
 from labdaemon.orbit_size import largest_motion
 from labdaemon.report.accuracy import FLOOR_MM, CaptureAccuracy, row_axes, semi_amplitude_sd_mm, summary
 from labdaemon.report.figures import envelope_svg, errors_svg
-from labdaemon.report.gauge_comparison import GaugeReading
+from labdaemon.report.gauge_comparison import GaugeComparison
 from labdaemon.report.page_tables import PageGrid, amplitude_chart, flagged_table, gauge_tables, number_text
 from labdaemon.report.provenance import Provenance
 from labdaemon.report.space_view import SpaceCapture, space_json
@@ -92,7 +92,7 @@ class PageSupplement:
         None where it is not known.
     """
 
-    gauges: Sequence[GaugeReading] = ()
+    gauges: Sequence[GaugeComparison] = ()
     provenance: Provenance | None = None
 
 

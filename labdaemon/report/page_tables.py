@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from labdaemon.orbit_size import is_doubtful, size_mm
 from labdaemon.report.accuracy import semi_amplitude_sd_mm
 from labdaemon.report.frequency_chart import ChartPoint, frequency_svg
-from labdaemon.report.gauge_comparison import GaugeReading, summarise
+from labdaemon.report.gauge_comparison import GaugeComparison, summarise
 from labdaemon.report.remedies import remedy
 
 MAX_FLAGGED = 200
@@ -95,7 +95,7 @@ def flagged_table(captures: Sequence[ExcitedCapture]) -> PageGrid | None:
     return PageGrid(("capture", "target", "amplitude mm", "flag", "what to do"), shown, flags=True)
 
 
-def gauge_tables(readings: Sequence[GaugeReading]) -> tuple[PageGrid, PageGrid | None] | None:
+def gauge_tables(readings: Sequence[GaugeComparison]) -> tuple[PageGrid, PageGrid | None] | None:
     """What gauges saw, and how the image results differ from it; None without gauges."""
     if not readings:
         return None

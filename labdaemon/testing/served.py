@@ -32,7 +32,7 @@ class FakeOutbox:
 
     def __init__(self) -> None:
         self.events: list[EventText] = []
-        self.cut_before = 1
+        self.cut_before: int = 1
 
     @property
     def last_seq(self) -> int:

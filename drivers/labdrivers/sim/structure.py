@@ -56,7 +56,8 @@ class VibrationMode:
         """Displacement (n, 3) of points (n, 3) per unit modal coordinate; 0 at and below the table."""
         points = np.atleast_2d(np.asarray(points_mm, float))
         if self.parts:
-            return np.sum([weight * mode.shape(points) for weight, mode in self.parts], axis=0)
+            total: FloatArray = np.sum([weight * mode.shape(points) for weight, mode in self.parts], axis=0)
+            return total
         x, y, z = points.T
         argument = 0.5 * np.pi * self.quarter_waves * np.clip(z, 0.0, None) / HEIGHT_MM
         profile = np.sin(argument)
