@@ -11,11 +11,12 @@ from typing import Any
 
 from labdaemon.clock import SystemClock
 from labdaemon.journal.event import EventText
+from labdaemon.off_loop import off_loop
 from labdaemon.stream.access import CLIENTS, KeyAccess, own_pair
 from labdaemon.stream.commands import CommandServer
 from labdaemon.stream.key_files import KeyPair, make_pair
 from labdaemon.stream.key_list import ListedClient, add_client
-from labdaemon.stream.publisher import EventPublisher, latest, replay
+from labdaemon.stream.publisher import EventPublisher, Outbox, latest, replay
 from labdaemon.stream.roles import Role
 from labdaemon.stream.sockets import ANYBODY, DoorPolicy
 
@@ -70,9 +71,9 @@ class StreamDaemon:
         Commands that were carried out, in order.
     """
 
-    def __init__(self, policy: DoorPolicy = ANYBODY, *, outbox: MemoryOutbox | None = None) -> None:
+    def __init__(self, policy: DoorPolicy = ANYBODY, *, outbox: Outbox | None = None) -> None:
         self.policy: DoorPolicy = policy
-        self.outbox: MemoryOutbox = outbox or MemoryOutbox()
+        self.outbox: Outbox = outbox or MemoryOutbox()
         self.commands: str = "tcp://127.0.0.1:*"
         self.events: str = "tcp://127.0.0.1:*"
         self.asked: list[tuple[str, dict[str, Any]]] = []
@@ -129,6 +130,7 @@ class StreamDaemon:
         """Commit an event and have it sent."""
 
         def commit() -> None:
+            assert isinstance(self.outbox, MemoryOutbox)
             self.outbox.add(kind, data)
             self.publisher.wake()
 
@@ -156,9 +158,9 @@ class StreamDaemon:
         async def handle(params: dict[str, Any]) -> Any:
             self.asked.append((method, params))
             if method == "events.replay":
-                return replay(self.outbox, params)
+                return await off_loop(replay, self.outbox, params)
             if method == "events.latest":
-                return latest(self.outbox, params)
+                return await off_loop(latest, self.outbox, params)
             if method == "status":
                 return {**self.results["status"], "seq": self.outbox.last_seq, "journal": self.outbox.uuid}
             return self.results.get(method, {})

@@ -37,6 +37,7 @@ class StreamOptions:
 SECTIONS = {
     "throughput": "labdaemon.bench.stream.throughput",
     "stalled": "labdaemon.bench.stream.stalled",
+    "joiners": "labdaemon.bench.stream.joiners",
     "latency": "labdaemon.bench.stream.latency",
     "hostile": "labdaemon.bench.stream.hostile",
 }
