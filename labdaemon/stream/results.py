@@ -79,10 +79,11 @@ class RigResult(EventPart):
 
 
 class SubmitResult(EventPart):
-    """A campaign that was queued: its id, and its data-set folder."""
+    """A campaign that was queued: its id, its data-set folder, and what a person should know before it runs."""
 
     campaign: str
     folder: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 class CampaignResult(EventPart):
