@@ -35,7 +35,7 @@ def third(delta_rad=0.3, ratio=0.05, sd=0.0):
 
 @pytest.fixture(scope="module")
 def scene(area):
-    return area.Scene(radius_px=9.0)
+    return area.Scene(radius_px=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def blurred(area, scene, a, b, harmonics, *, phase_rad=0.0, cycles=1.0, opening_
     """A blurred frame; under a code the instants at which the lamp is on."""
     reach = float(np.hypot(*a) + np.hypot(*b))
     size = int(2 * (scene.radius_px + reach) + 34)
-    samples = int(300 + 40 * reach)
+    samples = int(160 + 24 * reach)
     angle = opening_rad + 2 * np.pi * cycles * (np.arange(samples) + 0.5) / samples
     if light is not None:
         angle = angle[light.at(angle) > 0.5]
@@ -62,7 +62,7 @@ def blurred(area, scene, a, b, harmonics, *, phase_rad=0.0, cycles=1.0, opening_
     return area.render(scene, (size, size), (size / 2 + 0.13, size / 2 - 0.31), path, seed=seed, samples=len(angle))
 
 
-@pytest.mark.parametrize(("size", "delta"), [(1.5, 0.0), (3.0, 0.0), (3.0, math.pi), (8.0, 2.0)])
+@pytest.mark.parametrize(("size", "delta"), [(1.5, 0.0), (3.0, math.pi)])
 def test_a_known_third_harmonic_leaves_no_bias(area, scene, sharp, size, delta):
     harmonics = third(delta)
     patch = blurred(area, scene, size * AXIS, (0, 0), harmonics, seed=None)
@@ -71,15 +71,6 @@ def test_a_known_third_harmonic_leaves_no_bias(area, scene, sharp, size, delta):
     assert not found.flags
     sine = measure(sharp, patch, defocus=STILL)
     assert abs(sine.amplitude_px / size - 1) > 2 * abs(found.amplitude_px / size - 1)
-
-
-def test_pulls_with_noise(area, scene, sharp):
-    harmonics, pulls = third(1.0), []
-    for seed in range(4):
-        patch = blurred(area, scene, 2.0 * AXIS, (0, 0), harmonics, seed=seed)
-        found = measure(sharp, patch, defocus=STILL, harmonics=harmonics)
-        pulls.append((found.amplitude_px - 2.0) / found.sd_px)
-    assert 0.2 < float(np.sqrt(np.mean(np.square(pulls)))) < 2.0
 
 
 def test_an_uncertain_harmonic_enters_the_standard_deviation(area, scene, sharp):
@@ -119,28 +110,25 @@ def test_rest_and_lost_targets_stay_as_they_are(area, scene, sharp):
     assert not np.isfinite(measure(sharp, empty, defocus=STILL, harmonics=third()).a_px).any()
 
 
-def test_two_part_cycles_show_the_fundamentals_phase(area, scene, sharp):
+def test_part_cycles_show_the_fundamental(area, scene, sharp):
     harmonics, phase = third(0.4), 0.8
     a, b = 3.0 * AXIS * math.cos(phase), 3.0 * AXIS * math.sin(phase)
-    openings = (0.3, 0.3 + math.pi / 2)
-    patches = [
-        blurred(area, scene, a, b, harmonics, phase_rad=phase, cycles=5.5, opening_rad=one, seed=9) for one in openings
-    ]
-    windows = [ExposureWindow(5.5, 1.0, one) for one in openings]
-    sine, found = (measure_group(sharp, patches, windows, defocus=STILL, harmonics=h) for h in (None, harmonics))
+    patch = blurred(area, scene, a, b, harmonics, phase_rad=phase, cycles=2.5, opening_rad=0.3, seed=9)
+    window = ExposureWindow(2.5, 1.0, 0.3)
+    found = measure_group(sharp, [patch], [window], defocus=STILL, harmonics=harmonics)
     assert found.phased
-    assert np.hypot(found.a_px @ AXIS, found.b_px @ AXIS) == pytest.approx(3.0, abs=0.008)
-    assert abs(np.hypot(sine.a_px @ AXIS, sine.b_px @ AXIS) - 3.0) > 0.015
+    assert np.hypot(found.a_px @ AXIS, found.b_px @ AXIS) == pytest.approx(3.0, abs=0.03)
 
 
 def test_coded_light_with_a_harmonic(area, scene, sharp):
     harmonics, phase = third(0.3), 0.8
     code = LightCode(named_code("1110100"), 0.0, 5)
-    a, b = 8.0 * AXIS * math.cos(phase), 8.0 * AXIS * math.sin(phase)
-    patch = blurred(area, scene, a, b, harmonics, phase_rad=phase, light=code)
+    a, b = 3.0 * AXIS * math.cos(phase), 3.0 * AXIS * math.sin(phase)
+    patch = blurred(area, scene, a, b, harmonics, phase_rad=phase, light=code, seed=None)
     window = ExposureWindow(5.0, 1.0, light=code)
-    found = measure(sharp, patch, window=window, defocus=STILL, harmonics=harmonics)
-    assert np.hypot(found.a_px @ AXIS, found.b_px @ AXIS) == pytest.approx(8.0, rel=1e-3)
+    sine, found = (measure(sharp, patch, window=window, defocus=STILL, harmonics=one) for one in (None, harmonics))
+    errors = [abs(np.hypot(one.a_px @ AXIS, one.b_px @ AXIS) - 3.0) for one in (sine, found)]
+    assert errors[1] < 0.01 < errors[0]
     assert math.atan2(found.b_px @ AXIS, found.a_px @ AXIS) == pytest.approx(phase, abs=0.01)
 
 
@@ -153,13 +141,13 @@ def test_a_frames_targets_have_harmonics_of_their_own(area, scene, sharp):
 def test_a_textured_patch_is_scaled(area):
     rng = np.random.default_rng(3)
     scene = area.Scene(radius_px=0.0, texture=0.06, texture_px=1.6, texture_seed=int(rng.integers(99)))
-    centre = (45.0, 45.0)
-    rest = area.render(scene, (90, 90), centre, seed=1)
-    sharp = make_textured_patch([rest], (20, 20, 50, 50), name="p", noise=scene.noise)
+    centre = (32.0, 32.0)
+    rest = area.render(scene, (64, 64), centre, seed=1)
+    sharp = make_textured_patch([rest], (14, 14, 36, 36), name="p", noise=scene.noise)
 
     def moved(harmonics):
-        wave = harmonics.basis(2 * np.pi * (np.arange(120) + 0.5) / 120)[0]
-        return area.render(scene, (90, 90), centre, lambda t: (4 * wave, 2 * wave), seed=None, samples=120)
+        wave = harmonics.basis(2 * np.pi * (np.arange(80) + 0.5) / 80)[0]
+        return area.render(scene, (64, 64), centre, lambda t: (4 * wave, 2 * wave), seed=None, samples=80)
 
     plain = measure(sharp, moved(third(ratio=0.0))).amplitude_px
     patch = moved(third(0.0))
