@@ -25,6 +25,8 @@ from labdaemon.findings.response import FloatArray
 SHAPE_FLOOR = 1e-3
 """Systematic part of a shape's component, of its largest, that two surveys and orientations leave: not in any sd."""
 
+LEAST_STOREY_Z = 3.0
+"""A storey is named from so many sd of its change on."""
 LEAST_EXPLAINED = 0.7
 """Share of the differences' χ² below which a single change is no good explanation."""
 
@@ -213,6 +215,8 @@ def _findings(test: MaxTest, labels: list[Label], storeys: list[Explanation]) ->
     found = []
     for one in storeys:
         z = one.change / one.sd if one.sd > 0 else 0.0
+        if abs(z) < LEAST_STOREY_Z:
+            continue  # something changed, but no storey
         text = f"{one.kind} of {one.where} changed by {100 * one.change:+.2f} ± {100 * one.sd:.2f} %"
         if len(storeys) > 1:
             text += f", or another of {len(storeys)} that cannot be told apart"

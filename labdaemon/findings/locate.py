@@ -21,6 +21,8 @@ from labdaemon.findings.shear_frame import (
 INSEPARABLE_CHI2 = 4.0
 """Explanations whose χ² exceeds the best one's by less cannot be told from it (95 % of a normal number, rounded up)."""
 MOST_LEVELS = 12
+OWN_SHARE = 1e-6
+"""Part of a change's information that must be left after the common changes; less is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,18 +171,14 @@ def _observation(
 
 def explanations(model: ShearModel, common: CommonFit, difference: FloatArray) -> list[Explanation]:
     """All single changes, the best first."""
-    weight = common.weight
-    inner = inverse(common.columns.T @ weight @ common.columns)
-    before = float(common.rest @ weight @ common.rest)
+    before = float(common.rest @ common.weight @ common.rest)
     found = []
-    for number, (kind, place, direction) in enumerate(zip(model.kinds, model.places, model.directions, strict=True)):
-        alone = direction - common.columns @ (inner @ (common.columns.T @ (weight @ direction)))
-        information = float(alone @ weight @ alone)
-        if information <= 1e-9 * float(direction @ weight @ direction):
-            continue  # a common change is no change of its own
-        change = float(alone @ weight @ difference) / information
-        chi2 = before - change**2 * information
-        found.append(Explanation(kind, number + 1, place, change, information**-0.5, chi2))
+    own, information = own_directions(model, common)
+    for number, (kind, place) in enumerate(zip(model.kinds, model.places, strict=True)):
+        if information[number] > 0:
+            change = float(own[number] @ common.weight @ difference) / information[number]
+            chi2 = before - change**2 * information[number]
+            found.append(Explanation(kind, number + 1, place, change, float(information[number] ** -0.5), chi2))
     return sorted(found, key=lambda one: one.chi2)
 
 
@@ -195,12 +193,21 @@ def inseparable(found: list[Explanation]) -> list[Explanation]:
     return [one for one in found if one.chi2 <= found[0].chi2 + INSEPARABLE_CHI2]
 
 
+def own_directions(model: ShearModel, common: CommonFit) -> tuple[FloatArray, FloatArray]:
+    """(q, n) effects of each change beyond what a common change explains, and (q,) the information on it.
+
+    A change that is itself a common one, such as of all storeys, has nothing of its own: zeros.
+    """
+    weight, columns = common.weight, common.columns
+    inner = inverse(columns.T @ weight @ columns)
+    own = model.directions - (model.directions @ weight @ columns) @ inner @ columns.T
+    information = np.einsum("qn,nm,qm->q", own, weight, own, optimize=True)
+    whole = np.einsum("qn,nm,qm->q", model.directions, weight, model.directions, optimize=True)
+    is_own = information > OWN_SHARE * whole
+    return np.where(is_own[:, None], own, 0.0), np.where(is_own, information, 0.0)
+
+
 def matched_rows(model: ShearModel, common: CommonFit) -> FloatArray:
     """(q, n) rows that estimate each change alone: the most powerful test against it."""
-    rows = model.directions @ common.weight
-    return np.asarray(
-        rows
-        - (rows @ common.columns)
-        @ inverse(common.columns.T @ common.weight @ common.columns)
-        @ (common.columns.T @ common.weight)
-    )
+    result: FloatArray = own_directions(model, common)[0] @ common.weight
+    return result

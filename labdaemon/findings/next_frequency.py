@@ -147,7 +147,9 @@ def information_gains(fitted: ModalFit, candidates: ResponseSeries, index: Index
     common = system.shared.reshape(targets, steps + count, -1, shared)
     old_local = local[:, :steps].reshape(targets, -1, local.shape[3])
     old_common = common[:, :steps].reshape(targets, -1, shared)
-    unit = np.maximum(np.linalg.norm(old_local, axis=1), 1e-300)
+    unit = np.linalg.norm(old_local, axis=1)
+    unit = np.where(unit > 0, unit, 1.0)  # a direction that was not measured
+    local = local * (np.linalg.norm(old_local, axis=1) > 0)[:, None, None]
     old_local, local = old_local / unit[:, None], local / unit[:, None, None]
     normal = old_local.transpose(0, 2, 1) @ old_local + 1e-12 * np.eye(local.shape[3])
     cross = old_local.transpose(0, 2, 1) @ old_common
