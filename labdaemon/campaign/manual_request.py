@@ -7,6 +7,13 @@ from dataclasses import dataclass
 
 LONGEST_NAME_BYTES = 90
 """Of the label's part in a file name: overlays add number, camera and suffix, and a file name has 255 bytes at most."""
+MAX_TEXT = 200
+"""Characters of a label, a group or a request's id."""
+FREQUENCY_HZ = (1e-3, 1e4)
+AMPLITUDE_MM = (0.0, 1e4)
+PHASE_RAD = (-1e4, 1e4)
+EXPOSURE_S = (1e-5, 3600.0)
+"""Smallest and largest value that may be stated."""
 RESERVED = frozenset('/\\<>:"|?*#%`$&;')
 """Printable characters that some file system, shell or link reads as something else."""
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from labdaemon.campaign.manual_request import AMPLITUDE_MM, EXPOSURE_S, FREQUENCY_HZ, MAX_TEXT, PHASE_RAD
 from labdaemon.gateway.scpi_errors import ScpiError
 from labdaemon.gateway.scpi_syntax import number, quoted, read_flag, read_number, read_text
 
@@ -41,18 +42,17 @@ def _number_in(units: dict[str, float]) -> Callable[[str], float]:
 
 
 PARAMETERS = {
-    "FREQuency": StatedParameter("frequency_hz", _number_in({"HZ": 1.0, "KHZ": 1e3}), number, (1e-3, 1e4)),
+    "FREQuency": StatedParameter("frequency_hz", _number_in({"HZ": 1.0, "KHZ": 1e3}), number, FREQUENCY_HZ),
     "AMPLitude": StatedParameter(
-        "excitation_amplitude_mm", _number_in({"MM": 1.0, "UM": 1e-3, "M": 1e3}), number, (0.0, 1e4)
+        "excitation_amplitude_mm", _number_in({"MM": 1.0, "UM": 1e-3, "M": 1e3}), number, AMPLITUDE_MM
     ),
-    "PHASe": StatedParameter("phase_rad", _number_in({"RAD": 1.0, "DEG": math.pi / 180.0}), number, (-1e4, 1e4)),
-    "EXPosure": StatedParameter("exposure_s", _number_in({"S": 1.0, "MS": 1e-3, "US": 1e-6}), number, (1e-5, 3600.0)),
+    "PHASe": StatedParameter("phase_rad", _number_in({"RAD": 1.0, "DEG": math.pi / 180.0}), number, PHASE_RAD),
+    "EXPosure": StatedParameter("exposure_s", _number_in({"S": 1.0, "MS": 1e-3, "US": 1e-6}), number, EXPOSURE_S),
     "GROup": StatedParameter("group", read_text, lambda value: quoted(value or "")),
     "LABel": StatedParameter("label", read_text, lambda value: quoted(value or "")),
     "SHARp": StatedParameter("sharp", read_flag, lambda value: "1" if value else "0"),
 }
 """Mnemonic under ``CAPTure`` -> parameter. The daemon checks values again; here a client learns of them at once."""
-LONGEST_TEXT = 200
 
 
 class CaptureSettings:
@@ -80,8 +80,8 @@ class CaptureSettings:
         if parameter.bounds is not None and not parameter.bounds[0] <= value <= parameter.bounds[1]:
             least, most = parameter.bounds
             raise ScpiError(-222, f"{parameter.name} is a number from {least:g} to {most:g}")
-        if isinstance(value, str) and len(value) > LONGEST_TEXT:
-            raise ScpiError(-223, f"{parameter.name} is a text of at most {LONGEST_TEXT} characters")
+        if isinstance(value, str) and len(value) > MAX_TEXT:
+            raise ScpiError(-223, f"{parameter.name} is a text of at most {MAX_TEXT} characters")
         if value == "":
             self._stated.pop(parameter.name, None)
             return

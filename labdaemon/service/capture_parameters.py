@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from labdaemon.campaign.manual_request import ManualRequest, is_group_name
+from labdaemon.campaign.manual_request import (
+    AMPLITUDE_MM,
+    EXPOSURE_S,
+    FREQUENCY_HZ,
+    MAX_TEXT,
+    PHASE_RAD,
+    ManualRequest,
+    is_group_name,
+)
 from labdaemon.service.command_parameters import CommandParameters
 from labdaemon.stream.messages import InvalidParamsError
-
-MAX_TEXT = 200
-"""Characters of a label, a group or a request's id."""
-FREQUENCY_HZ = (1e-3, 1e4)
-AMPLITUDE_MM = (0.0, 1e4)
-PHASE_RAD = (-1e4, 1e4)
-EXPOSURE_S = (1e-5, 3600.0)
 
 
 def capture_request(params: dict[str, Any]) -> ManualRequest:

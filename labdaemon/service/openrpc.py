@@ -8,10 +8,10 @@ from typing import Any, TypeAlias
 
 from pydantic.json_schema import models_json_schema
 
+from labdaemon.campaign.manual_request import AMPLITUDE_MM, EXPOSURE_S, FREQUENCY_HZ, MAX_TEXT, PHASE_RAD
 from labdaemon.events import event_schema
 from labdaemon.events.payloads import EventPart
 from labdaemon.service.campaign_queries import MOST_LISTED
-from labdaemon.service.capture_parameters import AMPLITUDE_MM, EXPOSURE_S, FREQUENCY_HZ, MAX_TEXT, PHASE_RAD
 from labdaemon.stream import messages, results
 from labdaemon.stream.publisher import MAX_REPLAY
 from labdaemon.stream.roles import OBSERVER_COMMANDS

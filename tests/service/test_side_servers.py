@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from labdaemon.cli.remote import capture
 from labdaemon.errors import ConfigError
 from labdaemon.service.config import load_rig
 
@@ -48,6 +50,9 @@ def test_captures_by_every_way_in(
 
     by_rpc = daemon.ask("capture", label="rpc", group="g1", **STATED)["capture"]
     by_text = capture_by_text(service["gateway"])
+    options = ["--frequency-hz", "6", "--excitation-amplitude-mm", "0.5", "--phase-rad", "1.5", "--exposure-s", "0.25"]
+    options += ["--group", "g4", "--label", "cli", "--json", "--address", daemon.addresses["commands"]]
+    by_cli = json.loads(CliRunner().invoke(capture, options).output)["capture"]
     request = urllib.request.Request(
         f"{service['web']}/command/capture",
         json.dumps({"label": "web", "group": "g3", **STATED}).encode(),
@@ -56,10 +61,10 @@ def test_captures_by_every_way_in(
     with urllib.request.urlopen(request, timeout=60) as answer:
         by_web = json.load(answer)["result"]["capture"]
 
-    wanted = {by_rpc: ("rpc", "g1"), by_text: ("text", "g2"), by_web: ("web", "g3")}
+    wanted = {by_rpc: ("rpc", "g1"), by_text: ("text", "g2"), by_web: ("web", "g3"), by_cli: ("cli", "g4")}
     seen: dict[str, Any] = {}
     with urllib.request.urlopen(f"{service['web']}/events?after=0", timeout=60) as stream:
-        while len(seen) < 4:
+        while len(seen) < 5:
             line = stream.readline()
             if line.startswith(b"data: ") and b'"capture.completed"' in line:
                 event = json.loads(line[6:])
