@@ -1,4 +1,4 @@
-"""One line a peer and minute, and bounded memory for peers."""
+"""What is wrong with a peer, in the log: one line a peer and minute."""
 
 from __future__ import annotations
 
@@ -7,39 +7,66 @@ import logging
 import pytest
 
 from labdaemon.stream import peer_log
-from labdaemon.stream.peer_log import EVERY_S, MOST_PEERS, PeerLog
+from labdaemon.stream.peer_log import EVERY_S, MOST_PEERS, OTHERS, PeerLog
 
-log = logging.getLogger("test")
+
+class Clock:
+    """Monotonic time as a test sets it."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now_s
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    now = [1000.0]
-    monkeypatch.setattr(peer_log.time, "monotonic", lambda: now[0])
-    return now
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(peer_log, "time", clock)
+    return clock
 
 
-def test_a_peer_has_a_line_a_minute_and_the_next_one_counts(clock: list[float], caplog: pytest.LogCaptureFixture):
-    peers = PeerLog(log, "web")
+@pytest.fixture
+def peers(clock: Clock) -> PeerLog:
+    return PeerLog(logging.getLogger("test.peers"), "web")
+
+
+def lines(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records]
+
+
+def test_a_flood_of_one_peer_is_one_line_a_minute(
+    peers: PeerLog, clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
     for _ in range(1000):
-        peers.warn("10.0.0.1", "no request")
-    peers.warn("10.0.0.2", "another\npeer\ud800")
-    assert [record.getMessage() for record in caplog.records] == [
-        "web: 10.0.0.1: no request",
-        "web: 10.0.0.2: another\npeer\\ud800",
+        peers.warn("1.2.3.4", "wrong token")
+    clock.now_s += EVERY_S
+    peers.warn("1.2.3.4", "wrong token")
+    assert lines(caplog) == [
+        "web: 1.2.3.4: wrong token",
+        "web: 1.2.3.4: wrong token (999 more times since the last line)",
     ]
-    clock[0] += EVERY_S
-    peers.warn("10.0.0.1", "no request")
-    assert caplog.records[-1].getMessage() == "web: 10.0.0.1: no request (999 more times since the last line)"
 
 
-def test_many_peers_share_a_line(clock: list[float], caplog: pytest.LogCaptureFixture):
-    peers = PeerLog(log, "web")
-    for place in range(10 * MOST_PEERS):
-        peers.warn(f"10.0.{place // 256}.{place % 256}", "no request")
-    assert len(caplog.records) == MOST_PEERS + 1
-    assert "other peers" in caplog.records[-1].getMessage()
-    clock[0] += EVERY_S
-    peers.warn("fresh", "no request")
-    assert caplog.records[-1].getMessage().startswith("web: fresh: ")
-    assert len(peers._last) <= MOST_PEERS + 1
+def test_peers_are_kept_apart(peers: PeerLog, caplog: pytest.LogCaptureFixture) -> None:
+    peers.warn("a", "wrong token")
+    peers.warn("b", "bad request")
+    assert lines(caplog) == ["web: a: wrong token", "web: b: bad request"]
+
+
+def test_a_crowd_shares_a_line(peers: PeerLog, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
+    """Addresses are many where somebody scans: neither the log nor the memory may grow with them."""
+    for number in range(10 * MOST_PEERS):
+        peers.warn(f"peer {number}", "scan")
+    assert len(lines(caplog)) == MOST_PEERS + 1
+    assert lines(caplog)[-1] == f"web: {OTHERS}: scan"
+    clock.now_s += EVERY_S
+    peers.warn("a new one", "scan")
+    assert lines(caplog)[-1] == "web: a new one: scan"
+
+
+def test_what_a_peer_said_is_bounded(peers: PeerLog, caplog: pytest.LogCaptureFixture) -> None:
+    peers.warn("a", "x" * 10_000 + "\n")
+    [line] = lines(caplog)
+    assert len(line) < 250
