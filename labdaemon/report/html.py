@@ -141,7 +141,7 @@ def page(
             accuracy=_accuracy(compared) if compared else None,
             captures=[_capture(capture, is_drawn=len(captures) <= MAX_DRAWN) for capture in captures],
             space=_space(captures),
-            script=_environment().get_template("space.js").render(),
+            script="".join(_environment().get_template(name).render() for name in ("space.js", "report.js")),
             chart=amplitude_chart(captures),
             gauges=gauge_tables(more.gauges),
             budget=budget(rows),
@@ -149,6 +149,12 @@ def page(
             provenance=more.provenance,
         )
     )
+
+
+def live_files() -> dict[str, str]:
+    """Text of the live page's files by name: the page itself, its style and its scripts. They are the report's own."""
+    names = ("live.html", "page.css", "live.css", "space.js", "live.js")
+    return {name: _environment().get_template(name).render() for name in names}
 
 
 @cache

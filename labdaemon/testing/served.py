@@ -92,5 +92,6 @@ class FakeDaemon:
             case "stop":
                 result = {"rest": "soft", "table": "rest", "troubles": []}
             case "events.latest":
-                result = {"events": [json.loads(one.json) for one in self.outbox.latest()], "last": 0, "journal": "j"}
+                result = {"events": [json.loads(one.json) for one in self.outbox.latest()]}
+                result |= {"last": self.outbox.last_seq, "journal": self.outbox.uuid}
         return messages.result_bytes(result, request.id)

@@ -12,7 +12,7 @@ from typing import Any
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp
 
@@ -26,6 +26,7 @@ from labdaemon.stream.roles import Role
 from labdaemon.stream.text_limits import bounded_text, parse_json, surrogate_in
 from labdaemon.web.event_stream import EventStreamResponse, first_seq
 from labdaemon.web.guard import RequestGuard, WebAccess
+from labdaemon.web.live_page import live_routes
 
 MAX_BODY_BYTES = 1 << 20
 MOST_STREAMS = 32
@@ -42,12 +43,6 @@ STATUS_OF = {
     messages.DEVICE: 502,
 }
 """Code of a command's error -> status; 500 for others."""
-INDEX = """<!doctype html><html lang="en"><title>labdaemon</title><h1>labdaemon</h1><ul>
-<li><a href="/status">/status</a></li><li><a href="/rig">/rig</a></li>
-<li><a href="/latest/envelope.csv">/latest/envelope.csv</a></li>
-<li><a href="/latest/envelope.json">/latest/envelope.json</a></li>
-<li><a href="/events?after=0">/events?after=0</a></li><li><a href="/openrpc.json">/openrpc.json</a></li></ul></html>
-"""
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -89,8 +84,10 @@ def make_app(context: WebContext, pages: Sequence[BaseRoute] = ()) -> ASGIApp:
         Further routes, as of a live page; they are guarded like all others.
     """
     routes = [
-        Route("/", _index),
+        *live_routes(),
         Route("/status", _reading(context, "status")),
+        Route("/campaigns", _reading(context, "campaign.list")),
+        Route("/latest", _reading(context, "events.latest")),
         Route("/rig", _reading(context, "rig")),
         Route("/openrpc.json", _reading(context, "rpc.discover")),
         Route("/latest/envelope.csv", _latest_csv(context)),
@@ -105,10 +102,6 @@ def make_app(context: WebContext, pages: Sequence[BaseRoute] = ()) -> ASGIApp:
 
 
 Endpoint = Callable[[Request], Awaitable[Any]]
-
-
-async def _index(request: Request) -> Response:
-    return HTMLResponse(INDEX)
 
 
 def _reading(context: WebContext, method: str) -> Endpoint:

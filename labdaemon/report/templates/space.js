@@ -1,9 +1,8 @@
 // Envelopes in space: drag to turn, wheel or slider to magnify, play where the phase is known. No library.
+// spaceView(view) gives a function that shows a list of captures: the page of results calls it once, the live page again and again.
 "use strict";
-(function () {
-  const data = JSON.parse(document.getElementById("space-data").textContent);
-  const view = document.getElementById("space");
-  if (!view || !data.length) return;
+function spaceView(view) {
+  let data = [];
   const canvas = view.querySelector("canvas"), pick = view.querySelector("select"), play = view.querySelector(".play");
   const slider = view.querySelector("input"), note = view.querySelector(".note");
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -14,12 +13,6 @@
     const place = Math.min(Math.max(share, 0), 1) * 4, low = Math.min(Math.floor(place), 3), part = place - low;
     return "rgb(" + stops[low].map((c, i) => Math.round(c + (stops[low + 1][i] - c) * part)).join(",") + ")";
   };
-  data.forEach((capture, index) => {
-    const option = document.createElement("option");
-    option.value = index;
-    option.textContent = capture.name + (capture.frequency ? " · " + Number(capture.frequency.toPrecision(5)) + " Hz" : "");
-    pick.appendChild(option);
-  });
   function show(index) {
     now = index;
     slider.value = Math.log10(data[now].magnify);
@@ -122,12 +115,23 @@
     e.preventDefault();
     draw();
   }, { passive: false });
-  window.addEventListener("resize", draw);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-  view.hidden = false;
+  window.addEventListener("resize", () => data.length && draw());
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => data.length && draw());
   const size = (capture) => Math.max(...capture.targets.map((t) => (t[11] ? 0 : t[10])));
-  const first = data.reduce((best, capture, index) => (size(capture) > size(data[best]) ? index : best), 0);
-  pick.value = first;
-  show(first);
-  if (!still && data[first].phase) play.click();
-})();
+  return (captures, wanted) => {
+    data = captures;
+    view.hidden = !data.length;
+    if (!data.length) return;
+    const options = data.map((capture, index) => {
+      const option = document.createElement("option");
+      option.value = index;
+      option.textContent = capture.name + (capture.frequency ? " · " + Number(capture.frequency.toPrecision(5)) + " Hz" : "");
+      return option;
+    });
+    pick.replaceChildren(...options);
+    const first = wanted === undefined ? data.reduce((best, one, k) => (size(one) > size(data[best]) ? k : best), 0) : wanted;
+    pick.value = first;
+    show(first);
+    if (!still && data[first].phase && !running) play.click();
+  };
+}
