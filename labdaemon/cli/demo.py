@@ -54,7 +54,14 @@ on_fault = "retry"
     is_flag=True,
     help="Keep going for clients, campaign after campaign, on fixed ports of loopback; prints lines to join with.",
 )
-def demo(out: Path | None, campaign: Path | None, serve: bool) -> None:
+@click.option(
+    "--modification",
+    type=click.Choice(["none", "mass", "thinned", "thinned-only"]),
+    default="none",
+    show_default=True,
+    help="Of the structure, as in McCarthy 2016: mass on level 4, and members cut between levels 2 and 3.",
+)
+def demo(out: Path | None, campaign: Path | None, serve: bool, modification: str) -> None:
     """Run a campaign on a simulated rig, and compare the results with what the rig truly did. Needs no hardware.
 
     Rig and daemon run as processes of their own; the daemon reaches the rig through the devices' real protocols.
@@ -62,6 +69,8 @@ def demo(out: Path | None, campaign: Path | None, serve: bool) -> None:
     from labdaemon.campaign.campaign_file import load_campaign
     from labdaemon.cli.demo_serve import serve_demo
 
+    if serve and modification != "none":
+        raise UsageError("--modification belongs to a demo that ends; --serve has the frame as it is")
     given = load_campaign(campaign).toml if campaign is not None else None
     out = free_folder(out)
     end_on_signals()
@@ -69,7 +78,7 @@ def demo(out: Path | None, campaign: Path | None, serve: bool) -> None:
         if serve:
             serve_demo(out, given)
         else:
-            _demo(out, given or THREE_MODES, attended=campaign is not None)
+            _demo(out, given or THREE_MODES, attended=campaign is not None, modification=modification)
     except LabdaemonError as exc:
         if exc.exit_status == UsageError.exit_status:
             shutil.rmtree(out)  # nothing was begun
@@ -78,7 +87,7 @@ def demo(out: Path | None, campaign: Path | None, serve: bool) -> None:
         raise
 
 
-def _demo(out: Path, text: str, *, attended: bool) -> None:
+def _demo(out: Path, text: str, *, attended: bool, modification: str = "none") -> None:
     from labdaemon.cli.demo_lab import laboratory
     from labdaemon.cli.demo_results import check_same_numbers, draw_overlays, link_folder, truth_of, write_truth
     from labdaemon.report.folder_page import report_folder
@@ -86,7 +95,7 @@ def _demo(out: Path, text: str, *, attended: bool) -> None:
 
     began = time.monotonic()
     click.echo(f"Starting the simulated rig and the daemon in {out} …")
-    with laboratory(out) as lab:
+    with laboratory(out, modification=modification) as lab:
         folder, envelopes, coded = _run_campaign(lab, text, attended=attended)
         records = lab.rig.truth()
     truth = truth_of(envelopes, records)

@@ -94,7 +94,9 @@ class DemoLab:
 
 
 @contextlib.contextmanager
-def laboratory(out: Path, *, commands: str = FREE, events: str = FREE, more: str = "") -> Iterator[DemoLab]:
+def laboratory(
+    out: Path, *, commands: str = FREE, events: str = FREE, more: str = "", modification: str = "none"
+) -> Iterator[DemoLab]:
     """Start rig and daemon; at the end, however it comes, the table is at rest and both processes are gone.
 
     Parameters
@@ -105,6 +107,8 @@ def laboratory(out: Path, *, commands: str = FREE, events: str = FREE, more: str
         Where the daemon listens; free ports by default.
     more
         Further sections of the rig file.
+    modification
+        What is done to the simulated structure; ``none`` is the frame as it is.
 
     Raises
     ------
@@ -114,7 +118,7 @@ def laboratory(out: Path, *, commands: str = FREE, events: str = FREE, more: str
         The simulators are not installed.
     """
     with contextlib.ExitStack() as stack:
-        rig = _start_rig()
+        rig = _start_rig(modification)
         stack.callback(rig.close)
         config = rig.write_files(out, events=events, commands=commands, data="daemon")
         if more:
@@ -144,9 +148,9 @@ def simulator(name: str) -> Any:
     return found[name].load()
 
 
-def _start_rig() -> DemoRig:
+def _start_rig(modification: str) -> DemoRig:
     try:
-        rig: DemoRig = simulator("rig")()
+        rig: DemoRig = simulator("rig")(modification=modification)
     except (RuntimeError, ValueError, OSError) as exc:
         raise DemoFailed(f"the simulated rig did not start: {exc}") from exc
     return rig

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from labdaemon.cli.main import cli
+from labdaemon.errors import UsageError
 from labdrivers.sim.modification import MODIFICATIONS, Modification, modified_modes
-from labdrivers.sim.server import _spec
+from labdrivers.sim.server import _spec, start
 from labdrivers.sim.structure import DEFAULT_MODES, HEIGHT_MM
 
 FRONT = np.array([(x, -100.0, z) for x in (-150.0, 150.0) for z in np.linspace(95.0, HEIGHT_MM, 8)])
@@ -72,3 +77,17 @@ def test_impossible_modifications_are_refused(wrong: Modification) -> None:
 
 def test_the_setting_reaches_the_rig() -> None:
     assert _spec(1, True, "mass").modes == modified_modes(MODIFICATIONS["mass"])
+
+
+def test_a_rig_of_its_own_process_is_modified() -> None:
+    with start(small=True, modification="thinned") as rig:
+        assert rig.spec.modes == modified_modes(MODIFICATIONS["thinned"])
+        assert rig.control.ask("records") == []
+
+
+def test_a_demo_that_serves_is_not_modified(tmp_path: Path) -> None:
+    command = ["demo", "--serve", "--modification", "mass", "--out", str(tmp_path / "demo")]
+    result = CliRunner().invoke(cli, command)
+    assert isinstance(result.exception, UsageError)
+    assert "--modification" in str(result.exception)
+    assert not (tmp_path / "demo").exists()
