@@ -47,7 +47,7 @@ FREQUENCY_HZ, NOMINAL_S = 5.0, 1.0
 CASES: tuple[tuple[str, Goal, str, Lamp | None], ...] = (
     ("amplitude", "amplitude", "", None),
     ("phase by openings", "phase", "phase_rad = [0.0, 1.5708]\n", None),
-    ("phase by code", "phase", "phase_rad = [0.0, 1.5708]\n", Lamp(levels=2)),
+    ("phase by code", "phase", 'light = "1110100"\n', Lamp(levels=2)),
     ("phase by pair", "phase", "phase_rad = [0.0, 1.5708]\n", Lamp(levels=256)),
 )
 
