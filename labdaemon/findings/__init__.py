@@ -4,6 +4,7 @@ Pure: arrays in, arrays out. `response` is the input, `find_modes` and `spectra`
 where to measure next.
 """
 
+from labdaemon.findings.amplitude_dependence import AmplitudeDependence, compare_levels
 from labdaemon.findings.find_modes import Mode, ModeSearch, find_modes
 from labdaemon.findings.linearise import ModalParameters, ModalProblem
 from labdaemon.findings.modal_basis import ModalBasis, ModeForm
@@ -19,8 +20,10 @@ from labdaemon.findings.next_frequency import (
 from labdaemon.findings.phase_retrieval import with_residues
 from labdaemon.findings.response import PhaseReference, ResponseSeries, frequency_response
 from labdaemon.findings.spectra import SpectralModes, find_spectral_modes
+from labdaemon.findings.transient import with_transients
 
 __all__ = [
+    "AmplitudeDependence",
     "ModalBasis",
     "ModalFit",
     "ModalParameters",
@@ -33,6 +36,7 @@ __all__ = [
     "ResponseSeries",
     "SpectralModes",
     "candidate_frequencies",
+    "compare_levels",
     "find_modes",
     "find_spectral_modes",
     "fit",
@@ -44,4 +48,5 @@ __all__ = [
     "refit",
     "remaining_transient",
     "with_residues",
+    "with_transients",
 ]
