@@ -33,5 +33,7 @@ class Flag(StrEnum):
     """A patch of two motions: no single number describes it."""
     CAMERA_MOVED = "camera_moved"
     """The frame's control targets moved: camera shake, not structure."""
+    LIGHT_MISMATCH = "light_mismatch"
+    """The frame's light was not the code that was stated."""
     CONTRADICTS_GROUP = "contradicts_group"
     """Members of a group differ beyond their standard deviations: they do not repeat one motion."""

@@ -21,6 +21,7 @@ from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measure
 from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_ellipse
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
+from labdaemon.blur.phase.light_check import is_light_mismatch
 from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
 from labdaemon.blur.prediction import (
     DotImage,
@@ -70,6 +71,7 @@ __all__ = [
     "find_relative_signs",
     "fit_ellipse",
     "fit_sharp",
+    "is_light_mismatch",
     "light_fraction",
     "make_textured_patch",
     "measure",

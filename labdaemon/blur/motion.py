@@ -63,6 +63,41 @@ class ExposureWindow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class AlternativeMotion:
+    """Another motion that the same image may show, such as a twin under coded light.
+
+    Attributes
+    ----------
+    centre_px, a_px, b_px, covariance_px2
+        As those of a `Measurement` that is phased.
+    excess
+        Twice the logarithm of the odds of the measurement against it.
+    """
+
+    centre_px: FloatArray
+    a_px: FloatArray
+    b_px: FloatArray
+    covariance_px2: FloatArray
+    excess: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightScore:
+    """What one target says of the lamp's brightness in parts of the cycle (`labdaemon.blur.phase.light_check`).
+
+    Attributes
+    ----------
+    information
+        (n, n) of the corrections of n equal parts of the cycle, in parts of the lamp's full brightness.
+    score
+        (n,) its product with the corrections that explain the residuals best.
+    """
+
+    information: FloatArray
+    score: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
     """A target's motion in one frame (or one group of frames), in pixels.
 
@@ -86,6 +121,10 @@ class Measurement:
         Mean squared normalised residual; 1 when the model holds.
     axes
         The same without its phase, where it is `phased` but the phase hardly shows.
+    alternatives
+        Other motions that the image does not exclude, or hardly so: cameras decide between them together.
+    light_scores
+        Of each frame under coded light, what it says of the code.
     """
 
     target: str
@@ -98,6 +137,8 @@ class Measurement:
     defocus_px2: float = 0.0
     chi2: float = 1.0
     axes: Measurement | None = None
+    alternatives: tuple[AlternativeMotion, ...] = ()
+    light_scores: tuple[LightScore, ...] = ()
 
     @property
     def amplitude_px(self) -> float:

@@ -225,10 +225,9 @@ class PhaseSettings:
     min_orbit_moment_px2: float = 0.02
     """Smallest eigenvalue of the second moment of an initial orbit. Numerics."""
     followed_minima: int = 2
-    """Local minima of the phase profile that are refined. Trial."""
-    coded_minima: int = 5
-    """The same under coded light, of which the minima are narrower than the phases tried. Trial."""
-    code_axes: int = 3  # axes about which a code most resembles its mirror image, each tried as a twin; trial
+    """Local minima of a single frame's phase profile that are refined. Trial."""
+    min_along_px: float = 0.02
+    """Least component of v on its own side, while its phase is held. Numerics."""
     max_extra_cost: float = 60.0
     """Cost above the best from which a minimum is not refined. Statistics: its odds are e⁻³⁰."""
     followed_starts: int = 4

@@ -96,20 +96,68 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
     basis, weight
         (2, K) sin and cos; (K,).
     """
-    harmonics = window.harmonics
-    if harmonics is not None:
-        max_amplitude_px *= harmonics.bandwidth
+    if window.light is None:
+        angle, weight = _exposure_nodes(window, _bandwidth(window) * max_amplitude_px)
+        return _basis(window, angle), weight
+    parts = light_parts(window, max_amplitude_px)
+    ambient = window.light.ambient * parts.room_cycles
+    (basis, weight), (room_basis, room_weight) = parts.lamp, parts.room
+    if ambient == 0:
+        return basis, weight
+    total = parts.lamp_cycles + ambient
+    weights = np.concatenate((weight * parts.lamp_cycles, room_weight * ambient)) / total
+    return np.concatenate((basis, room_basis), axis=1), weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightParts:
+    """Nodes of the lamp's light and of the room's in an exposure.
+
+    Attributes
+    ----------
+    lamp, room
+        Sin ωt and cos ωt (2, K), and weights (K,) whose sum is 1.
+    lamp_cycles, room_cycles
+        Light of each in cycles of full brightness, the room's for ambient light 1: it lasts as long as the shutter is
+        open.
+    """
+
+    lamp: tuple[FloatArray, FloatArray]
+    room: tuple[FloatArray, FloatArray]
+    lamp_cycles: float
+    room_cycles: float
+
+
+def light_parts(window: ExposureWindow, max_amplitude_px: float) -> LightParts:
+    """The lamp's and the room's part of coded light; parameters as for `window_nodes`.
+
+    Raises
+    ------
+    UsageError
+        The window has constant light.
+    """
+    if window.light is None:
+        raise UsageError("constant light has no lamp that follows the excitation")
+    max_amplitude_px *= _bandwidth(window)
     angle, weight = _exposure_nodes(window, max_amplitude_px)
-    light = window.light
-    if light is not None:
-        lamp_angle, lamp_weight = light.lamp_nodes(max_amplitude_px)
-        lamp_weight = lamp_weight * light.cycles
-        # Both in cycles of full brightness: what the ambient light adds lasts as long as the shutter is open.
-        ambient = light.ambient * window.cycles
-        total = float(lamp_weight.sum()) + ambient
-        angle = np.concatenate((lamp_angle, angle)) if ambient > 0 else lamp_angle
-        weight = (np.concatenate((lamp_weight, weight * ambient)) if ambient > 0 else lamp_weight) / total
-    return np.stack((np.sin(angle), np.cos(angle))) if harmonics is None else harmonics.basis(angle), weight
+    lamp_angle, lamp_weight = window.light.lamp_nodes(max_amplitude_px)
+    mean = float(lamp_weight.sum())
+    return LightParts(
+        (_basis(window, lamp_angle), lamp_weight / mean),
+        (_basis(window, angle), weight),
+        mean * window.light.cycles,
+        window.cycles,
+    )
+
+
+def _bandwidth(window: ExposureWindow) -> float:
+    """How much finer than of a sinusoid the nodes must be."""
+    return 1.0 if window.harmonics is None else window.harmonics.bandwidth
+
+
+def _basis(window: ExposureWindow, angle: FloatArray) -> FloatArray:
+    """Sin ωt and cos ωt (2, K) at phases, each with its harmonics if there are any."""
+    return np.stack((np.sin(angle), np.cos(angle))) if window.harmonics is None else window.harmonics.basis(angle)
 
 
 def _exposure_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:

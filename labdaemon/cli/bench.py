@@ -45,6 +45,13 @@ def bench() -> None:
 )
 @click.option("--keep", type=click.Path(file_okay=False, path_type=Path), help="Leave the rendered folders here.")
 @click.option("--workers", type=click.IntRange(0), default=0, help="Processes; 0 for one a core.")
+@click.option(
+    "--section",
+    type=click.Choice(["all", "amplitude", "light"]),
+    default="all",
+    show_default=True,
+    help="Amplitudes, or signed motions under coded light and through windows; with --quick all means amplitudes.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def accuracy(
     seeds: tuple[int, ...],
@@ -53,9 +60,13 @@ def accuracy(
     out: Path | None,
     keep: Path | None,
     workers: int,
+    section: str,
     as_json: bool,
 ) -> None:
     """The published method and ours on the same rendered frames, compared with the Cramér–Rao bound."""
+    if section == "light":
+        _print_signed(tuple(seeds), quick, workers, as_json)
+        return
     from labdaemon.bench.accuracy import run_accuracy
     from labdaemon.bench.accuracy_text import document, lines
     from labdaemon.bench.cases import cases
@@ -86,10 +97,25 @@ def accuracy(
     else:
         for line in lines(result):
             click.echo(line)
+        if section == "all" and not quick and not only:
+            _print_signed(tuple(seeds), quick, workers, as_json)
     if drawn and any(case.case.pooled for case in result.cases):
         file = (out or Path()) / "accuracy.png"
         draw(result, file)
         click.echo(f"figure: {file}", err=True)
+
+
+def _print_signed(seeds: tuple[int, ...], quick: bool, workers: int, as_json: bool) -> None:
+    """Run the signed motions and print them."""
+    from labdaemon.bench.signed import run_signed
+    from labdaemon.bench.signed_text import signed_document, signed_lines
+
+    results = run_signed(seeds, quick=quick, workers=workers, report=lambda text: click.echo(text, err=True))
+    if as_json:
+        click.echo(json.dumps(signed_document(results)))
+        return
+    for line in signed_lines(results):
+        click.echo(line)
 
 
 @bench.command()

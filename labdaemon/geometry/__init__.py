@@ -5,19 +5,18 @@ from labdaemon.geometry.camera_motion import CameraMotion, estimate_camera_motio
 from labdaemon.geometry.joint_orientation import ControlPoint, ImageObservation, JointOrientation, orient_jointly
 from labdaemon.geometry.lattice import Node, apply_placement, grow_lattice, place_lattices
 from labdaemon.geometry.lens import INTERIOR_NAMES, Lens
-from labdaemon.geometry.motion import ImageMotion, ObjectMotion
+from labdaemon.geometry.motion import ImageMotion, IntersectedMotion, ObjectMotion
 from labdaemon.geometry.network import Network, Pose
 from labdaemon.geometry.orientation import Orientation, orient
 from labdaemon.geometry.oriented_camera import OrientedCamera, rotation_from_vector
 from labdaemon.geometry.photomodeler_export import read_photomodeler
 from labdaemon.geometry.plane import Plane, compensate_camera_motion, fit_plane, map_motion_to_plane
 from labdaemon.geometry.reliability import GrossError, adjust_without_gross_errors, select_observations
+from labdaemon.geometry.resolution import resolve_ambiguous_targets
 from labdaemon.geometry.space_intersection import (
-    IntersectedMotion,
     IntersectedTargets,
     intersect_motion,
     intersect_targets,
-    resolve_ambiguous_targets,
 )
 
 __all__ = [

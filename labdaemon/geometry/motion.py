@@ -31,6 +31,10 @@ class ImageMotion:
         True when a and b are signed by the excitation's phase.
     axes
         The same without its phase, where that hardly shows.
+    alternatives
+        Other signed motions that the same image may show, such as twins under coded light.
+    excess
+        Of an alternative: twice the logarithm of the odds against it.
     """
 
     mean_px: FloatArray
@@ -39,6 +43,8 @@ class ImageMotion:
     covariance_px2: FloatArray
     phased: bool = False
     axes: ImageMotion | None = None
+    alternatives: tuple[ImageMotion, ...] = ()
+    excess: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,3 +70,29 @@ class ObjectMotion:
     covariance_mm2: FloatArray
     residual_ratio: float | None = None
     flags: frozenset[Flag] = field(default_factory=frozenset)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntersectedMotion:
+    """A target's motion and what else it might be.
+
+    Attributes
+    ----------
+    motion
+        The best solution.
+    alternative
+        The runner-up that could not be excluded; None when the match is settled, or an orbit's two roots merge.
+    resolved_by
+        ``residual`` (two cameras), ``third camera``, ``phase``, ``common phase``, ``continuity``; empty where not
+        settled.
+    evidence
+        Logarithm of the odds for the motion against its alternative, from the residuals alone.
+    signed
+        Whether both carry the excitation's phase.
+    """
+
+    motion: ObjectMotion
+    alternative: ObjectMotion | None = None
+    resolved_by: str = ""
+    evidence: float = 0.0
+    signed: bool = False

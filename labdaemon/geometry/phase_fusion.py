@@ -58,6 +58,17 @@ def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion
     return replace(axis, a_mm=radial[0] * axis.a_mm, b_mm=radial[1] * axis.a_mm, covariance_mm2=covariance)
 
 
+def phase_cost(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion) -> float:
+    """How far the images' phases along an axis contradict each other, as a sum of squares."""
+    phasors = []
+    for camera, motion in zip(cameras, motions, strict=True):
+        along = camera.project_with_jacobians(axis.mean_mm[None])[1][0] @ axis.a_mm
+        size = float(np.linalg.norm(along))
+        if size > 0:
+            phasors.append(_camera_phasor(motion, along / size))
+    return 2 * (sum(abs(one) for one in phasors) - abs(sum(phasors)))
+
+
 def evidence_from_phases(motions: Sequence[ImageMotion], axes: Sequence[ImageMotion]) -> list[float]:
     """What the cameras' phases say of the signs of their axes, as `straight_candidates` takes it.
 

@@ -78,6 +78,27 @@ class IntersectionSettings:
     """Probability of the residuals below which the cameras do not see the same point. Statistics."""
     poor_fit_px: float = 0.2
     """Residual below which nothing is flagged, however small the stated uncertainty. Trial."""
+    max_alternatives: int = 4
+    """Motions of each image that are combined with those of the other cameras. Speed."""
+    max_combinations: int = 32
+    """Combinations that are intersected. Speed."""
+    twin_cost_gap: float = 9.0
+    """Difference of costs that excludes a twin. Statistics: the wrong one is taken with 0.13 % at most, which is where
+    the two are three standard deviations apart."""
+    phase_apart_rad: float = 0.35
+    """Angle between two signed motions from which they are two. Trial: nearer ones are in the covariance."""
+    in_phase_ratio: float = 0.02
+    """Ratio of the axes up to which a structure's motion counts as in phase. Trial: damping of a few per cent."""
+    orbit_share: float = 0.2
+    """Prior share of motions that are orbits of any ratio. Trial."""
+    phase_spread_rad: float = 0.05
+    """Spread of phases about the one that targets of one mode share. Trial: complex modes of damped structures."""
+    other_phase_share: float = 0.2
+    """Prior share of targets that do not move at a phase where others do. Trial."""
+    common_phase_share: float = 0.6
+    """Share of the settled targets that must be at one phase for it to count. Trial."""
+    min_phase_neighbours: int = 5
+    """Settled targets whose phases describe the others'. Trial."""
     max_evidence: float = 40.0
     """Largest evidence of one camera for a sign, twice the log odds: rays that miss each other count for more."""
     min_axis_sd_px: float = 0.01

@@ -4,42 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.stats import chi2
 
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
-from labdaemon.geometry.continuity import ResolvedNeighbour, resolve_by_neighbours
-from labdaemon.geometry.motion import FloatArray, ImageMotion, ObjectMotion
+from labdaemon.geometry.motion import FloatArray, ImageMotion, IntersectedMotion, ObjectMotion
 from labdaemon.geometry.motion_adjustment import Candidate
-from labdaemon.geometry.motion_candidates import orbit_candidates, phased_candidate, straight_candidates
+from labdaemon.geometry.motion_candidates import orbit_candidates, straight_candidates
 from labdaemon.geometry.oriented_camera import OrientedCamera
-from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases
+from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases, phase_cost
+from labdaemon.geometry.resolution import resolve_ambiguous_targets
 from labdaemon.geometry.settings import INTERSECTION
+from labdaemon.geometry.signed_candidates import signed_candidates
 from labdaemon.orbit_axes import largest_sign, principal_axes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IntersectedMotion:
-    """A target's motion and what else it might be.
-
-    Attributes
-    ----------
-    motion
-        The best solution.
-    alternative
-        The runner-up that could not be excluded; None when the match is settled, or an orbit's two roots merge.
-    resolved_by
-        ``residual`` (two cameras), ``third camera``, ``phase``, ``continuity``; empty where not settled.
-    evidence
-        Logarithm of the odds for the motion against its alternative, from the residuals alone.
-    """
-
-    motion: ObjectMotion
-    alternative: ObjectMotion | None = None
-    resolved_by: str = ""
-    evidence: float = 0.0
 
 
 def intersect_motion(
@@ -87,16 +67,9 @@ def intersect_motion(
     phased = all(motion.phased for motion in motions)
     phase_unresolved = phased and any(motion.axes is not None for motion in motions)
     if phased and not phase_unresolved:
-        best = phased_candidate(cameras, exterior, motions)
-        signed = _object_motion(best, None, phased=True)
-        if chi2.sf(best.cost, best.freedom) < INTERSECTION.sign_conflict_probability:
-            return IntersectedMotion(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
-        return IntersectedMotion(signed, resolved_by="phase")
+        return _signed_motion(signed_candidates(cameras, exterior, motions))
     if phase_unresolved:
-        axes = [_principal_motion(motion) for motion in motions]
-        unphased = intersect_motion(cameras, axes, covariance=exterior, evidence=evidence_from_phases(motions, axes))
-        signed = fuse_phases(cameras, motions, unphased.motion)
-        return replace(unphased, motion=signed, alternative=None)
+        return _fuse_alternatives(cameras, exterior, motions)
     motions = [_principal_motion(motion) for motion in motions]
     candidates, straight = _unphased_candidates(cameras, exterior, motions, known)
     best, others = candidates[0], candidates[1:]
@@ -123,6 +96,54 @@ def intersect_motion(
         return IntersectedMotion(joined)
     odds = 0.5 * _cost_difference(best, rival, scale)
     return IntersectedMotion(joined, _object_motion(rival, ratio, phased=False), evidence=odds)
+
+
+def _signed_motion(candidates: Sequence[Candidate]) -> IntersectedMotion:
+    """The best combination of signed motions, flagged where another one is not excluded."""
+    best = candidates[0]
+    rival = next((one for one in candidates[1:] if _turn_between(best, one) > INTERSECTION.phase_apart_rad), None)
+    ratio = None if rival is None else float(np.sqrt(rival.total_cost / max(best.total_cost, 1e-12)))
+    signed = _object_motion(best, ratio, phased=True)
+    if chi2.sf(best.cost, best.freedom) < INTERSECTION.sign_conflict_probability:
+        return IntersectedMotion(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
+    scale = max(1.0, best.cost / best.freedom) if best.freedom > 0 else 1.0
+    gap = np.inf if rival is None else _cost_difference(best, rival, scale)
+    if rival is None or gap >= INTERSECTION.twin_cost_gap:
+        return IntersectedMotion(signed, resolved_by="phase", signed=True)
+    signed = replace(signed, flags=signed.flags | {Flag.AMBIGUOUS})
+    return IntersectedMotion(signed, _object_motion(rival, ratio, phased=True), evidence=0.5 * float(gap), signed=True)
+
+
+def _fuse_alternatives(
+    cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion]
+) -> IntersectedMotion:
+    """Signed motion where a camera hardly shows the phase: by the other cameras' candidates that it excludes least."""
+    found: list[tuple[float, IntersectedMotion]] = []
+    choices = [(motion, *motion.alternatives[: INTERSECTION.max_alternatives - 1]) for motion in motions]
+    for chosen in list(product(*choices))[: INTERSECTION.max_combinations]:
+        axes = [_principal_motion(motion) for motion in chosen]
+        try:
+            unphased = intersect_motion(cameras, axes, covariance=exterior, evidence=evidence_from_phases(chosen, axes))
+        except DataError:
+            if found:
+                continue
+            raise
+        signed = replace(unphased, motion=fuse_phases(cameras, chosen, unphased.motion), alternative=None)
+        found.append((sum(one.excess for one in chosen) + phase_cost(cameras, chosen, unphased.motion), signed))
+    found.sort(key=lambda one: one[0])
+    cost, best = found[0]
+    if any(other - cost < INTERSECTION.twin_cost_gap for other, _ in found[1:]):
+        return replace(best, motion=replace(best.motion, flags=best.motion.flags | {Flag.AMBIGUOUS}))
+    return best
+
+
+def _turn_between(first: Candidate, second: Candidate) -> float:
+    """Angle by which the second motion's phase is another's, 0 … π."""
+    here, there = (one.motion_mm[1] + 1j * one.motion_mm[2] for one in (first, second))
+    size = float(np.linalg.norm(here) * np.linalg.norm(there))
+    overlap = complex(np.vdot(here, there))
+    # A motion that is another one in direction as well overlaps little, whatever its phase.
+    return float(np.arccos(np.clip(overlap.real / max(size, 1e-300), -1.0, 1.0)))
 
 
 def _cost_difference(best: Candidate, other: Candidate, scale: float) -> float:
@@ -245,60 +266,6 @@ def intersect_targets(
         for target in motions
     }
     return IntersectedTargets(result, {name: entry.resolved_by for name, entry in joined.items()}, refused)
-
-
-def resolve_ambiguous_targets(
-    joined: Mapping[str, IntersectedMotion], members: Mapping[str, str] | None = None
-) -> dict[str, IntersectedMotion]:
-    """Choose between a target's two solutions by its settled neighbours (`labdaemon.geometry.continuity`).
-
-    Parameters
-    ----------
-    joined
-        By target.
-    members
-        Member of each target, if known.
-
-    Returns
-    -------
-    dict
-        The same targets; those settled lose `Flag.AMBIGUOUS` and say so.
-    """
-    result = dict(joined)
-    unsettled = {name for name, entry in joined.items() if entry.alternative is not None}
-    trusted = {
-        name: ResolvedNeighbour(entry.motion.mean_mm, entry.motion.a_mm)
-        for name, entry in joined.items()
-        if name not in unsettled and Flag.AMBIGUOUS not in entry.motion.flags
-    }
-    for name in sorted(unsettled):
-        entry = joined[name]
-        assert entry.alternative is not None
-        near = [other for other in joined if other != name and _same_member(name, other, members)]
-        near.sort(key=lambda other: float(np.linalg.norm(joined[other].motion.mean_mm - entry.motion.mean_mm)))
-        if not _neighbours_represent([other in trusted for other in near]):
-            continue
-        neighbours = [trusted[other] for other in near if other in trusted]
-        options = (entry.motion, entry.alternative)
-        choice = resolve_by_neighbours(options, entry.evidence, neighbours)
-        if choice is not None:
-            motion = options[choice]
-            result[name] = IntersectedMotion(replace(motion, flags=motion.flags - {Flag.AMBIGUOUS}), None, "continuity")
-    return result
-
-
-def _same_member(name: str, other: str, members: Mapping[str, str] | None) -> bool:
-    """Tell whether two targets are of the same member; all are where no members are known."""
-    return members is None or members.get(name) == members.get(other)
-
-
-def _neighbours_represent(settled: Sequence[bool]) -> bool:
-    """Tell whether a target's neighbours, nearest first, may speak for it.
-
-    Where most of its nearest are open too (a column moving in the epipolar plane), those that are settled belong to
-    something else and moved otherwise: that is why they are settled.
-    """
-    return sum(settled[:3]) >= 2 and 3 * sum(settled[:6]) >= 2 * len(settled[:6])
 
 
 def _principal_motion(motion: ImageMotion) -> ImageMotion:

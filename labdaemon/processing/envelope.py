@@ -117,14 +117,12 @@ def join_frames(
     captures, name
         As in `measure_capture`.
     """
-    by_target: dict[str, dict[str, Measurement]] = {target: {} for target in sharp.targets}
-    evidence: dict[str, dict[str, float]] = {target: {} for target in sharp.targets}
-    rows: list[Row] = []
-    for frame in frames:
-        for index, measurement in enumerate(frame.measurements):
-            by_target[measurement.target][frame.camera] = measurement
-            evidence[measurement.target][frame.camera] = frame.evidence_of(index)
-            rows.append(measurement_row(name, frame.camera, measurement, decide_sign(frame.evidence_of(index))))
+    by_target, evidence = _by_target(sharp, frames)
+    rows = [
+        measurement_row(name, frame.camera, measurement, decide_sign(frame.evidence_of(index)))
+        for frame in frames
+        for index, measurement in enumerate(frame.measurements)
+    ]
     views = _views(sharp, frames)
     if sharp.plane is not None:
         joined = _map_to_plane(sharp, frames[0], by_target)
@@ -139,6 +137,36 @@ def join_frames(
     files = folder.capture(captures[-1]).frames
     drawn = tuple((camera, file.relative_to(folder.root)) for camera, file in files.items())
     return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)), drawn)
+
+
+def join_motions(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, tuple[ObjectMotion, set[Flag]]]:
+    """Intersect the cameras' measurements of a capture: motions with their covariance, and flags, by target.
+
+    Parameters
+    ----------
+    sharp, frames
+        As in `join_frames`, of two cameras or more.
+    """
+    by_target, evidence = _by_target(sharp, frames)
+    views = _views(sharp, frames)
+    joined = _intersect_in_space(sharp, views, by_target, evidence)
+    return {
+        target: (motion, _flags(by_target[target], motion, cameras=len(views), sure=True))
+        for target, motion in joined.items()
+    }
+
+
+def _by_target(
+    sharp: SharpSet, frames: Sequence[FrameResult]
+) -> tuple[dict[str, dict[str, Measurement]], dict[str, dict[str, float]]]:
+    """Measurements, and evidence of signs, by target and camera."""
+    measurements: dict[str, dict[str, Measurement]] = {target: {} for target in sharp.targets}
+    evidence: dict[str, dict[str, float]] = {target: {} for target in sharp.targets}
+    for frame in frames:
+        for index, measurement in enumerate(frame.measurements):
+            measurements[measurement.target][frame.camera] = measurement
+            evidence[measurement.target][frame.camera] = frame.evidence_of(index)
+    return measurements, evidence
 
 
 def _map_to_plane(sharp: SharpSet, frame: FrameResult, by_target: _Seen) -> dict[str, ObjectMotion]:
@@ -209,7 +237,22 @@ def _image_motion(measurement: Measurement) -> ImageMotion:
         measurement.covariance_px2,
         measurement.phased,
         None if measurement.axes is None else _image_motion(measurement.axes),
+        tuple(
+            ImageMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2, True, excess=one.excess)
+            for one in measurement.alternatives
+        ),
     )
+
+
+def _leaves_twins(measurement: Measurement) -> bool:
+    """Whether a camera's candidates are known, and were combined with the other cameras'."""
+    return bool(measurement.alternatives)
+
+
+def _is_spoilt(measurement: Measurement) -> bool:
+    """Whether a camera is left out where two others see a target well."""
+    spoiling = measurement.flags & SPOILING_FLAGS
+    return bool(spoiling - {Flag.AMBIGUOUS} if _leaves_twins(measurement) else spoiling)
 
 
 def _has_numbers(measurement: Measurement) -> bool:
@@ -219,7 +262,7 @@ def _has_numbers(measurement: Measurement) -> bool:
 def _select_clean(seen: Mapping[str, Measurement]) -> dict[str, Measurement]:
     """Select the cameras for a target's motion: those without a spoiling flag where two or more are, else all."""
     measured = {camera: one for camera, one in seen.items() if _has_numbers(one)}
-    clean = {camera: one for camera, one in measured.items() if not one.flags & SPOILING_FLAGS}
+    clean = {camera: one for camera, one in measured.items() if not _is_spoilt(one)}
     return clean if len(clean) >= 2 else measured
 
 
@@ -229,6 +272,9 @@ def _flags(seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, came
     flags = {flag for one in used.values() for flag in one.flags}
     if motion is None:
         return (flags - {Flag.AT_REST}) | {Flag.NOT_FOUND}
+    if len(used) > 1 and all(_leaves_twins(one) for one in used.values() if Flag.AMBIGUOUS in one.flags):
+        # The cameras together decide between what each one leaves open.
+        flags.discard(Flag.AMBIGUOUS)
     flags |= motion.flags
     if not all(Flag.AT_REST in one.flags for one in used.values()):
         flags.discard(Flag.AT_REST)

@@ -25,6 +25,8 @@ from labdaemon.processing.survey import SurveyedPoint, TargetPlace, read_control
 NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
 SAME_FREQUENCY = 1e-3
 """Relative difference up to which two stated frequencies are one: a generator's setting and a gauge's reading of it."""
+AMBIENT_SD = (0.1, 0.02)
+"""Standard deviation of ambient light that is stated without one: relative to it, and in parts of the lamp's light."""
 TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
 
 
@@ -55,6 +57,9 @@ class CaptureFile(BaseModel):
     """Whole cycles of the code inside the open shutter; as many as fit where it is not given."""
     ambient: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     """Light that is on whenever the shutter is open, in parts of the lamp's full brightness."""
+    sd_light_phase_rad: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    sd_ambient: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """Standard deviation of `ambient`: a prior, the frame shows it too. None for a tenth of it and two hundredths."""
     light_rise_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Time that the lamp takes from dark to full brightness."""
     cameras: dict[str, CameraOpening] = {}
@@ -72,7 +77,7 @@ class CaptureFile(BaseModel):
     @model_validator(mode="after")
     def _code_fits(self) -> CaptureFile:
         if self.light is None:
-            stated = {"light_phase_rad", "light_cycles", "light_rise_s"} & self.model_fields_set
+            stated = {key for key in self.model_fields_set if "light_" in key or key == "sd_ambient"}
             if stated:
                 raise ValueError(
                     f"{min(stated)} is given, but light is not: write the code of the lamp, or leave it out"
@@ -106,6 +111,8 @@ class CaptureFile(BaseModel):
                 self.light_cycles or max(int((cycles or 1.0) + 1e-6), 1),
                 self.ambient,
                 2.0 * math.pi * (self.frequency_hz or 0.0) * self.light_rise_s,
+                self.sd_light_phase_rad,
+                AMBIENT_SD[0] * self.ambient + AMBIENT_SD[1] if self.sd_ambient is None else self.sd_ambient,
                 is_phase_known=self.light_phase_rad is not None,
             )
         except UsageError as exc:

@@ -17,6 +17,7 @@ from labdaemon.blur import (
     average_measurements,
     failure_flags,
     find_relative_signs,
+    is_light_mismatch,
     measure_frame,
     measure_group,
     measure_mccarthy2016,
@@ -324,13 +325,25 @@ def _measure_together(
     """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean."""
     phased = [window for window in windows if window is not None and holds_phase(window)]
     if len(phased) == len(windows):
-        return [
+        found = [
             _measure_phased(target, located_frames, phased, index, laws) for index, target in enumerate(camera.targets)
         ]
+        return _flag_light(found, sum(window.is_coded for window in phased))
     each = [
         _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
     ]
     return [average_measurements(measured) for measured in zip(*each, strict=True)]
+
+
+def _flag_light(measured: list[Measurement], coded_frames: int) -> list[Measurement]:
+    """The targets, flagged where all of them together say that the lamp did not play the code that was stated."""
+    scored = [one.light_scores for one in measured if len(one.light_scores) == coded_frames]
+    if not any(is_light_mismatch([scores[frame] for scores in scored]) for frame in range(coded_frames)):
+        return measured
+    return [
+        replace(one, flags=one.flags | {Flag.LIGHT_MISMATCH}) if np.isfinite(one.a_px).all() else one
+        for one in measured
+    ]
 
 
 def _measure_phased(

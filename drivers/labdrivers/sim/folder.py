@@ -138,6 +138,7 @@ class _FolderWriter:
             scene.rest_offset_mm,
             scene.cameras == 1,
             scene.in_phase,
+            scene.level,
         )
         rows: list[str] = []
         for shot_number, shot in enumerate(self._shots(label)):

@@ -28,6 +28,8 @@ class FolderScene:
         Ratio of minor to major semi-axis, 0 for straight paths.
     in_phase
         All targets of a capture move in or against one phase, as a structure does in one of its modes.
+    level
+        All targets move in the horizontal plane, which is the epipolar plane of two cameras at one height.
     captures
         How many, each with motions of its own.
     frequency_hz, exposure_s
@@ -81,6 +83,7 @@ class FolderScene:
     amplitude_mm: tuple[float, float] = (0.3, 3.0)
     orbit: float = 0.0
     in_phase: bool = False
+    level: bool = False
     captures: int = 1
     frequency_hz: float = 5.0
     exposure_s: float = 1.0

@@ -42,6 +42,7 @@ def random_motions(
     offset_sd_mm: float,
     planar: bool,
     in_phase: bool = False,
+    level: bool = False,
 ) -> dict[str, Harmonic]:
     """A motion for each target.
 
@@ -57,6 +58,8 @@ def random_motions(
         Keep to the plane of x and z.
     in_phase
         One phase for all, as in an in-phase motion; the sign of each stays random.
+    level
+        Keep to the plane of x and y.
     """
     motions: dict[str, Harmonic] = {}
     common = rng.uniform(0.0, 2.0 * np.pi) if in_phase else None
@@ -66,6 +69,9 @@ def random_motions(
         if planar:
             turn = rng.uniform(0.0, 2.0 * np.pi)
             axes = np.array([(np.cos(turn), 0.0, np.sin(turn)), (-np.sin(turn), 0.0, np.cos(turn))])
+        if level:
+            turn = rng.uniform(0.0, 2.0 * np.pi)
+            axes = np.array([(np.cos(turn), np.sin(turn), 0.0), (-np.sin(turn), np.cos(turn), 0.0)])
         offset = rng.normal(0.0, 1.0, 3) * offset_sd_mm * (1.0, 0.0 if planar else 1.0, 1.0)
         u, v = major * axes[0], major * orbit * axes[1]
         # where the point is on its orbit at the excitation's zero: any phase

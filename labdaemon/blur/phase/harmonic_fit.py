@@ -6,8 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labdaemon.blur.motion import AlternativeMotion, LightScore
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.candidates import weigh_candidates
 from labdaemon.blur.phase.in_phase import PhaseProfile, profile_phase
+from labdaemon.blur.phase.light_check import score_light
 from labdaemon.blur.phase.orbit_phase import condition_on_phase, marginalise_orbit_phase
 from labdaemon.blur.phase.orbits import MinorAxis, estimate_minor_axis, perpendicular, solve_orbit
 from labdaemon.blur.phase.posterior import InPhaseMotion, in_phase_vectors, is_bimodal, marginalise_phase
@@ -18,7 +21,6 @@ from labdaemon.blur.smear.frame_set import (
     window_in_phase_transfer,
     window_orbit_transfer,
 )
-from labdaemon.blur.smear.gls import gls_refine_frames
 from labdaemon.blur.smear.uncertainty import windowed_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 
@@ -50,6 +52,10 @@ class HarmonicFit:
         Whether another solution, clearly apart, fits as well.
     anisotropy_px2
         How far the extra blur may be from the same in all directions.
+    alternatives
+        Other motions under coded light that the frames do not exclude.
+    light_scores
+        Of each frame under coded light, what it says of the code.
     """
 
     value: FloatArray
@@ -64,6 +70,8 @@ class HarmonicFit:
     phase_unresolved: bool
     ambiguous: bool
     anisotropy_px2: float = 0.0
+    alternatives: tuple[AlternativeMotion, ...] = ()
+    light_scores: tuple[LightScore, ...] = ()
 
     @property
     def at_rest(self) -> bool:
@@ -96,8 +104,9 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
 
 def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArray, minor: MinorAxis) -> HarmonicFit:
     """The orbit whose minor axis shows, and whether its time-reversed solution fits as well."""
-    best, other, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
-    refined = gls_refine_frames(frame_set, best, window_orbit_transfer)
+    best, others, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
+    weighed = weigh_candidates(frame_set, [best, *others] if profile.coded else [best], window_orbit_transfer)
+    best, refined = weighed.best, weighed.refined
     covariance = windowed_covariance(refined, frame_set, window_orbit_transfer)
     selector = _motion_selector(frame_set, len(best.p), 4)
     value, covariance = selector @ refined.p, selector @ covariance @ selector.T
@@ -107,20 +116,28 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     # A single frame under constant light always has its time-reversed solution. The other direction of rotation
     # needs no flag: the covariance includes it.
     linear = covariance
-    near = other is not None and _cost_excess(best, other) < PHASE.rival_cost
+    near = bool(others) and _cost_excess(best, others[0]) < PHASE.rival_cost and not profile.coded
     if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):
         covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
-    if time_reversed is not None:
+    if profile.coded:
+        covariance, alternatives = weighed.report(selector, value, covariance, lambda p: p)
+        ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
+    elif time_reversed is not None:
         away = selector @ (time_reversed.p - best.p)
         ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
-    return HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
+    found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
+    if not profile.coded:
+        return found
+    return replace(found, alternatives=alternatives, light_scores=score_light(frame_set, best, window_orbit_transfer))
 
 
 def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) -> HarmonicFit:
     """The in-phase motion by all its phases, with the minor axis that it may have in the covariance."""
-    best = profile.best
-    profile = replace(profile, best=gls_refine_frames(frame_set, best, window_in_phase_transfer))
+    candidates = [profile.best, *profile.rivals] if profile.coded else [profile.best]
+    weighed = weigh_candidates(frame_set, candidates, window_in_phase_transfer)
+    best = weighed.best
+    profile = replace(profile, best=weighed.refined)
     refined = profile.best
     covariance = windowed_covariance(refined, frame_set, window_in_phase_transfer)
     selector = _motion_selector(frame_set, len(best.p), 3)
@@ -131,11 +148,17 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) 
     n, c, s = perpendicular(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = in_phase.covariance + minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
-    ambiguous, time_reversed = is_bimodal(profile), profile.time_reversed
-    if time_reversed is not None:
-        vectors = in_phase_vectors((selector @ time_reversed.p)[None])[0] - in_phase.value
+    ambiguous, alternatives = is_bimodal(profile), tuple[AlternativeMotion, ...]()
+    if profile.coded and not in_phase.phase_unresolved:
+        covariance, alternatives = weighed.report(
+            selector, in_phase.value, covariance, lambda p: in_phase_vectors(p[None])[0]
+        )
+        ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
+    elif profile.rivals:
+        rival = profile.rivals[0]
+        vectors = in_phase_vectors((selector @ rival.p)[None])[0] - in_phase.value
         ambiguous = ambiguous or _is_ambiguous(
-            _cost_excess(best, time_reversed), selector @ (time_reversed.p - best.p), linear, vectors, covariance
+            _cost_excess(best, rival), selector @ (rival.p - best.p), linear, vectors, covariance
         )
     held = np.zeros((6, 6))
     return HarmonicFit(
@@ -150,6 +173,8 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) 
         minor_axis_variance_px2,
         in_phase.phase_unresolved,
         ambiguous,
+        alternatives=alternatives,
+        light_scores=score_light(frame_set, best, window_in_phase_transfer) if profile.coded else (),
     )
 
 

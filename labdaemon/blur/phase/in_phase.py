@@ -29,7 +29,8 @@ import numpy as np
 
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.phase.time_reversal import differ, mid_exposure_phase, time_reversed_solutions, wrap_angle
+from labdaemon.blur.phase.time_reversal import mid_exposure_phase
+from labdaemon.blur.phase.valleys import follow_valleys, with_free_phase
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.frame_set import (
@@ -58,8 +59,8 @@ class PhaseProfile:
         (n, 2) v there, all on one side; (n, 2) the mean position, mean over frames.
     best
         The best solution with its phase, shape and all: …, vx, vy, ψ last.
-    time_reversed
-        Of several frames, the best solution that is its mirror image in time, where there is one.
+    rivals
+        Where the phase shows, other minima under the best one's weights, from the lowest.
     periodic
         Whether the phases go round the circle.
     coded
@@ -71,7 +72,7 @@ class PhaseProfile:
     vector_px: FloatArray
     centre_px: FloatArray
     best: Solution
-    time_reversed: Solution | None
+    rivals: tuple[Solution, ...]
     periodic: bool
     coded: bool = False
 
@@ -87,7 +88,7 @@ class PhaseProfile:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether the minimum is narrower than the phases tried; other minima were followed and are in rivals."""
+        """Whether the minimum is narrower than the phases tried; other minima were followed and are rivals."""
         return self.coded and self.sd_phase < PHASE.linear_phase_sd_rad
 
     @property
@@ -119,8 +120,10 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
     vector = _initial_vector(fixed, moment_px2, float(phases[first])) * stretch[first]
     reach = 3.0 + 1.3 * float(np.hypot(*vector)) * float(stretch.max() / stretch[first])
     start = _initial_parameters(fixed, vector, float(phases[first]))
+    # At a held phase v and −v are two minima; the circle has both at phases half a turn apart.
+    side = vector / float(np.hypot(*vector)) if periodic else None
     found: dict[int, Solution] = {}
-    found[first] = _at(fixed, float(phases[first]), reach, start)
+    found[first] = _at(fixed, float(phases[first]), reach, start, side=side)
     weight = found[first].weight
     for order in (range(first + 1, len(phases)), range(first - 1, -1, -1)):
         last = first
@@ -132,14 +135,15 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
                 start[FRAME_PARAMETERS * frame : FRAME_PARAMETERS * frame + 2] += (
                     near.p[-2:] * before - start[-2:] * now
                 )
-            found[index] = _at(fixed, float(phases[index]), reach, start, near.light, weight)
+            found[index] = _at(fixed, float(phases[index]), reach, start, near.light, weight, side=side)
             last = index
     solutions = [found[index] for index in range(len(phases))]
-    minima = _refine_minima(frame_set, phases, solutions, reach, periodic=periodic)
-    best, time_reversed = minima[0], None
+    rivals: tuple[Solution, ...] = ()
     if periodic:
-        best, time_reversed = _compare_rivals(frame_set, minima, reach)
+        best, *others = follow_valleys(frame_set, phases, solutions, reach)
+        rivals = tuple(others)
     else:
+        best = _refine_minima(frame_set, phases, solutions, reach)[0]
         # Long smears have valleys that are narrow between the phases tried.
         phase = float(best.p[-1])
         place = int(np.searchsorted(phases, phase))
@@ -155,7 +159,7 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
         [one.p[: FRAME_PARAMETERS * frames].reshape(frames, FRAME_PARAMETERS)[:, :2].mean(axis=0) for one in solutions]
     )
     coded = any(window.is_coded for window in frame_set.windows)
-    return PhaseProfile(phases, cost, vectors, places, best, time_reversed, periodic, coded)
+    return PhaseProfile(phases, cost, vectors, places, best, rivals, periodic, coded)
 
 
 def _window_moments(frame_set: FrameSet, phase_rad: float) -> tuple[list[float], float]:
@@ -176,72 +180,59 @@ def _at(
     start: FloatArray,
     light: FloatArray | None = None,
     weight: FloatArray | None = None,
+    *,
+    side: FloatArray | None = None,
 ) -> Solution:
-    """In-phase motion at a held phase; with the weights given, so that costs can be compared."""
+    """In-phase motion at a held phase; with the weights given, so that costs can be compared.
+
+    Parameters
+    ----------
+    side
+        (2,) direction against which v must not point.
+    """
+
+    def bound(p: FloatArray) -> FloatArray:
+        if side is None or (along := float(p[-2:] @ side)) >= PHASE.min_along_px:
+            return p
+        p = p.copy()
+        p[-2:] += (PHASE.min_along_px - along) * side
+        return p
+
     model, prior = fixed.forward_model(window_fixed_phase_transfer(phase_rad), max_amplitude_px), fixed.prior(2)
     if weight is None:
-        return solve(fixed.planes, fixed.weights, model, start, prior)
+        return solve(fixed.planes, fixed.weights, model, start, prior, bound=bound)
     kept = weight
-    return solve(fixed.planes, lambda _: kept, model, start, prior, light=light, max_iterations=6, tolerance=0.2)
+    return solve(
+        fixed.planes, lambda _: kept, model, start, prior, bound=bound, light=light, max_iterations=6, tolerance=0.2
+    )
 
 
 def _refine_minima(
-    frame_set: FrameSet, phases: FloatArray, solutions: list[Solution], max_amplitude_px: float, *, periodic: bool
+    frame_set: FrameSet, phases: FloatArray, solutions: list[Solution], max_amplitude_px: float
 ) -> list[Solution]:
-    """The lowest minima of the profile, its phase and the target's shape free; the best one first."""
+    """The lowest minima of a single frame's profile, its phase and the target's shape free; the best one first."""
     cost = np.array([one.cost for one in solutions])
-    padded = np.concatenate((cost[-1:], cost, cost[:1])) if periodic else np.pad(cost, 1, constant_values=np.inf)
+    padded = np.pad(cost, 1, constant_values=np.inf)
     minima = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
-    # Coded light has narrow minima, which the phases that were tried do not show in their depth.
-    coded = any(window.is_coded for window in frame_set.windows)
-    minima = minima[np.argsort(cost[minima])][: PHASE.coded_minima if coded else PHASE.followed_minima]
+    minima = minima[np.argsort(cost[minima])][: PHASE.followed_minima]
     model, prior = frame_set.forward_model(window_in_phase_transfer, max_amplitude_px), frame_set.prior(3)
 
     def bound(p: FloatArray) -> FloatArray:
         p = p.copy()
-        if not periodic:
-            p[-1] = np.clip(p[-1], phases[0], phases[-1])
+        p[-1] = np.clip(p[-1], phases[0], phases[-1])
         return p
 
     refined: list[Solution] = []
     for index in minima:
-        if not coded and cost[index] > cost[minima[0]] + PHASE.max_extra_cost:
+        if cost[index] > cost[minima[0]] + PHASE.max_extra_cost:
             break
         near, phase = solutions[index], float(phases[index])
-        if not periodic and index in (0, len(phases) - 1):
+        if index in (0, len(phases) - 1):
             # The image depends on sin μ, of which the slope is nothing there: nothing would move.
             phase += 0.4 * float(phases[abs(index - 1)] - phases[index])
-        nuisance = FRAME_PARAMETERS * len(frame_set.problems)
-        start = np.concatenate((near.p[:nuisance], np.zeros(frame_set.shape_count), near.p[-2:], [phase]))
+        start = with_free_phase(frame_set, near, phase)
         refined.append(solve(frame_set.planes, frame_set.weights, model, start, prior, bound=bound, light=near.light))
     return sorted(refined, key=lambda one: one.cost)
-
-
-def _compare_rivals(
-    frame_set: FrameSet, minima: list[Solution], max_amplitude_px: float
-) -> tuple[Solution, Solution | None]:
-    """The best one of a profile's minima and the best one's time-reversed solutions, and the best of the others."""
-    model, prior = frame_set.forward_model(window_in_phase_transfer, max_amplitude_px), frame_set.prior(3)
-    best = minima[0]
-    v, phase = best.p[-3:-1], float(best.p[-1])
-    kept = best.weight  # so that costs can be compared
-    # Costs under one set of weights; the other minima were followed under their own.
-    found = [
-        best,
-        *(solve(frame_set.planes, lambda _: kept, model, one.p, prior, light=one.light) for one in minima[1:]),
-    ]
-    for a, b in time_reversed_solutions(frame_set, *_solution_vectors(best)):
-        start = best.p.copy()
-        start[-1] += wrap_angle(float(np.arctan2(b @ v, a @ v)) - phase)
-        found.append(solve(frame_set.planes, lambda _: kept, model, start, prior, light=best.light))
-    found.sort(key=lambda one: one.cost)
-    others = [one for one in found[1:] if differ(*_solution_vectors(found[0]), *_solution_vectors(one))]
-    return found[0], others[0] if others else None
-
-
-def _solution_vectors(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    v, phase = solution.p[-3:-1], float(solution.p[-1])
-    return v * np.cos(phase), v * np.sin(phase)
 
 
 def _initial_vector(fixed: FrameSet, moment_px2: FloatArray, phase_rad: float) -> FloatArray:

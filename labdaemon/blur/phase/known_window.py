@@ -51,7 +51,18 @@ def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
     blur = float(np.mean(best.p[2 : FRAME_PARAMETERS * len(frame_set.problems) : FRAME_PARAMETERS]))
     axes = drop_phase(sharp, found) if found.phase_unresolved else None
     return Measurement(
-        sharp.name, value[:2], value[2:4], value[4:6], cov, True, frozenset(flags), blur, best.chi2, axes
+        sharp.name,
+        value[:2],
+        value[2:4],
+        value[4:6],
+        cov,
+        True,
+        frozenset(flags),
+        blur,
+        best.chi2,
+        axes,
+        found.alternatives,
+        found.light_scores,
     )
 
 

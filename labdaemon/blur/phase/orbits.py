@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
@@ -14,7 +15,7 @@ from labdaemon.blur.phase.time_reversal import time_reversed_solutions
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.fit_problem import TransferFunction
 from labdaemon.blur.smear.frame_set import FrameSet, window_orbit_transfer
-from labdaemon.blur.smear.gls import gls_refine_frames
+from labdaemon.blur.smear.gls_frames import gls_refine_frames
 from labdaemon.blur.smear.uncertainty import robust_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import gauss_newton_step, solve
@@ -73,8 +74,8 @@ def estimate_minor_axis(frame_set: FrameSet, profile: PhaseProfile) -> MinorAxis
 
 def solve_orbit(
     frame_set: FrameSet, moment_px2: FloatArray, profile: PhaseProfile, minor_px: float
-) -> tuple[Solution, Solution | None, Solution | None]:
-    """Best orbit, the best one that differs from it, and its image in time; a and b are the last four parameters.
+) -> tuple[Solution, list[Solution], Solution | None]:
+    """Best orbit, those that differ from it, and its image in time; a and b are the last four parameters.
 
     The image in time of a single frame is no other solution: it is left out.
 
@@ -89,7 +90,12 @@ def solve_orbit(
     """
     rotations = (1.0, -1.0) if frame_set.shows_phase else (1.0,)
     pairs = [pair for rotation in rotations for pair in _initial_orbits(frame_set, moment_px2, rotation)]
-    pairs += [vectors_from_axes(profile.vector, profile.phase, rotation * minor_px) for rotation in rotations]
+    known = len(pairs)
+    pairs += [
+        vectors_from_axes(near.p[-3:-1], float(near.p[-1]), rotation * minor_px)
+        for near in (profile.best, *profile.rivals[: LIGHT.orbit_rivals if profile.coded else 0])
+        for rotation in rotations
+    ]
     size = max(float(np.hypot(np.hypot(*a), np.hypot(*b))) for a, b in pairs)
     model, prior = frame_set.forward_model(window_orbit_transfer, 3.0 + 1.3 * size), frame_set.prior(4)
     planes = frame_set.planes
@@ -102,26 +108,35 @@ def solve_orbit(
 
     starts = initial(pairs)
     costs = [_rough_cost(frame_set, model(start)[0]) for start in starts]
-    solutions = solve_all([starts[index] for index in np.argsort(costs)[: PHASE.followed_starts]])
+    chosen = list(np.argsort(costs)[: PHASE.followed_starts])
+    if profile.coded:
+        chosen += [index for index in range(known, len(pairs)) if index not in chosen]
+    solutions = solve_all([starts[index] for index in chosen])
     best = min(solutions, key=lambda x: x.cost)
     mirror: list[Solution] = []
     if len(rotations) > 1:
         solutions += solve_all(initial([_reverse_rotation(best.p[-4:-2], best.p[-2:])]))
         best = min(solutions, key=lambda x: x.cost)
         kept = best.weight  # so that costs can be compared
+        if profile.coded:
+            solutions = [best, *solve_all([x.p for x in solutions if x is not best], lambda _: kept)]
         mirror = solve_all(initial(time_reversed_solutions(frame_set, best.p[-4:-2], best.p[-2:])), lambda _: kept)
         time_reversed = min(mirror, key=lambda x: x.cost, default=best)
         if time_reversed.cost < best.cost:
             best, mirror = time_reversed, [best]
-    return best, _best_distinct(best, solutions + mirror), _best_distinct(best, mirror)
+    mirrors = _distinct(best, mirror)
+    return best, _distinct(best, solutions + mirror), mirrors[0] if mirrors else None
 
 
-def _best_distinct(best: Solution, solutions: list[Solution]) -> Solution | None:
-    """The best of several that are not the best one again."""
+def _distinct(best: Solution, solutions: list[Solution]) -> list[Solution]:
+    """Those of several that are neither the best one again nor each other, from the lowest cost."""
     information = np.linalg.pinv(best.covariance[-4:, -4:], hermitian=True)
-    away = [(x, x.p[-4:] - best.p[-4:]) for x in solutions]
-    others = [x for x, d in away if float(d @ information @ d) > PHASE.distinct_distance2]
-    return min(others, key=lambda x: x.cost, default=None)
+    kept = [best]
+    for one in sorted(solutions, key=lambda x: x.cost):
+        away = [one.p[-4:] - other.p[-4:] for other in kept]
+        if all(float(d @ information @ d) > PHASE.distinct_distance2 for d in away):
+            kept.append(one)
+    return kept[1:]
 
 
 def _initial_orbits(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from labdaemon.blur.light_code import mirror_axes
+from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.frame_set import FrameSet
@@ -35,7 +36,7 @@ def time_reversed_solutions(frame_set: FrameSet, a: FloatArray, b: FloatArray) -
     for frame, window in enumerate(frame_set.windows):
         # Coded light has its twins about the axes of the code; they are exact only for a symmetric code.
         if window.is_coded and window.light is not None:
-            axes = mirror_axes(window.light, least_likeness=0.0)[: PHASE.code_axes]
+            axes = mirror_axes(window.light, least_likeness=0.0)[: LIGHT.code_axes]
         else:
             axes = [mid_exposure_phase(frame_set, frame)]
         for middle in axes:

@@ -1,6 +1,7 @@
 """Models of motion seen through known windows: one or several frames, each frame's mean position its own.
 
-The parameters are x, y and extra blur of each frame, then the shape's, then the motion's: the vector v of an in-phase
+The parameters are x, y and extra blur of each frame, then the shape's, then (where it is not known exactly) the
+correction of the ambient light under coded light, then the motion's: the vector v of an in-phase
 motion v·sin(ωt + ψ) at a held phase ψ, the same with its phase, or the vectors a and b of an orbit.
 """
 
@@ -21,7 +22,7 @@ from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
 from labdaemon.blur.solver.reduced_equations import Prior
 from labdaemon.blur.solver.solve import DarknessModel
-from labdaemon.blur.waveform import in_phase_transfer, quadrature_transfer, window_nodes
+from labdaemon.blur.waveform import in_phase_transfer, light_parts, quadrature_transfer, window_nodes
 
 FRAME_PARAMETERS = 3  # x, y, extra blur: the parameters of each frame, before the shape's and the motion's
 
@@ -41,6 +42,8 @@ class FrameSet:
         One of each a frame.
     planes
         All frames' pixels.
+    ambient_held
+        Whether the stated ambient light is taken for exact.
     """
 
     sharp: SharpTarget
@@ -48,6 +51,7 @@ class FrameSet:
     windows: list[ExposureWindow]
     blurs: list[Defocus]
     planes: ColourPlanes
+    ambient_held: bool = False
 
     @classmethod
     def from_problems(
@@ -62,9 +66,24 @@ class FrameSet:
         return self.problems[0].shape_count
 
     @property
+    def ambient_count(self) -> int:
+        """1 where the ambient light is a parameter: its correction is common to all frames."""
+        return int(not self.ambient_held and self.sd_ambient > 0)
+
+    @property
+    def sd_ambient(self) -> float:
+        """Standard deviation of the ambient light under coded light; 0 where it does not matter."""
+        return max((w.light.sd_ambient for w in self.windows if w.is_coded and w.light is not None), default=0.0)
+
+    @property
+    def nuisance_count(self) -> int:
+        """Parameters between the frames' and the motion's."""
+        return self.shape_count + self.ambient_count
+
+    @property
     def first_motion(self) -> int:
         """Place of the first parameter of the motion."""
-        return FRAME_PARAMETERS * len(self.problems) + self.shape_count
+        return FRAME_PARAMETERS * len(self.problems) + self.nuisance_count
 
     @property
     def shows_phase(self) -> bool:
@@ -87,7 +106,8 @@ class FrameSet:
 
     def prior(self, motion_count: int) -> Prior:
         """Defocus from the controls, shape from the sharp frame; nothing is known of places and motion."""
-        k, shape = self.shape_count, slice(self.first_motion - self.shape_count, self.first_motion)
+        k, first = self.shape_count, FRAME_PARAMETERS * len(self.problems)
+        shape = slice(first, first + k)
         size = self.first_motion + motion_count
         precision, mean = np.zeros((size, size)), np.zeros(size)
         for index, blur in enumerate(self.blurs):
@@ -95,6 +115,8 @@ class FrameSet:
             mean[FRAME_PARAMETERS * index + 2] = blur.mean_px2
         if k:
             precision[shape, shape] = shape_precision(self.sharp)
+        if self.ambient_count:
+            precision[first + k, first + k] = self.sd_ambient**-2
         return Prior(mean, precision)
 
     def initial_parameters(self, a: FloatArray, b: FloatArray, motion: FloatArray) -> FloatArray:
@@ -104,7 +126,7 @@ class FrameSet:
             basis, weight = window_nodes(window, 3.0)
             place = problem.initial_centre_px - a * (basis[0] @ weight) - b * (basis[1] @ weight)
             frames += [*place, blur.mean_px2]
-        return np.concatenate((frames, np.zeros(self.shape_count), motion))
+        return np.concatenate((frames, np.zeros(self.nuisance_count), motion))
 
     def forward_model(
         self, transfer_factory: TransferFactory, max_amplitude_px: float, *, exact: bool = False
@@ -121,7 +143,7 @@ class FrameSet:
         count, plane_count = len(self.problems), len(self.problems[0].planes.channel)
         shape = self.planes.values.shape
         models = [
-            fast_forward_model(problem, transfer_factory(*window_nodes(window, max_amplitude_px)), exact=exact)
+            fast_forward_model(problem, self.transfer(window, transfer_factory, max_amplitude_px), exact=exact)
             for problem, window in zip(self.problems, self.windows, strict=True)
         ]
 
@@ -146,11 +168,61 @@ class FrameSet:
 
         return models[0] if count == 1 else model
 
+    def transfer(
+        self, window: ExposureWindow, transfer_factory: TransferFactory, max_amplitude_px: float
+    ) -> TransferFunction:
+        """Transfer function of a frame's window; the correction of the ambient light is its first parameter."""
+        if not self.ambient_count:
+            return transfer_factory(*window_nodes(window, max_amplitude_px))
+        return ambient_transfer(window, transfer_factory, max_amplitude_px)
+
     def with_fixed_shape(self) -> FrameSet:
-        """The same with the target's shape held."""
+        """The same with the target's shape and the ambient light held."""
         return replace(
-            self, problems=[replace(one, rest_spectra=one.rest_spectra.fixed_shape) for one in self.problems]
+            self,
+            problems=[replace(one, rest_spectra=one.rest_spectra.fixed_shape) for one in self.problems],
+            ambient_held=True,
         )
+
+
+def ambient_transfer(
+    window: ExposureWindow, transfer_factory: TransferFactory, max_amplitude_px: float
+) -> TransferFunction:
+    """Transfer function by (correction of the ambient light, motion…): lamp and room are told by their share of light.
+
+    Parameters
+    ----------
+    window
+        With its light; constant light has no ambient part.
+    transfer_factory
+        The kind of motion.
+    max_amplitude_px
+        Largest amplitude to be represented.
+    """
+    light = window.light if window.is_coded else None
+    if light is None:
+        plain = transfer_factory(*window_nodes(window, max_amplitude_px))
+
+        def constant(fx: FloatArray, fy: FloatArray, p: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+            transfer, slopes = plain(fx, fy, p[1:])
+            none = np.zeros((1, *np.shape(transfer)))
+            return np.asarray(transfer, np.complex128), np.concatenate((none, slopes))
+
+        return constant
+    parts = light_parts(window, max_amplitude_px)
+    by_lamp, by_room = transfer_factory(*parts.lamp), transfer_factory(*parts.room)
+
+    def motion(fx: FloatArray, fy: FloatArray, p: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        (lamp, lamp_slopes), (room, room_slopes) = by_lamp(fx, fy, p[1:]), by_room(fx, fy, p[1:])
+        room_light = (light.ambient + float(p[0])) * parts.room_cycles
+        total = max(parts.lamp_cycles + room_light, 0.1 * parts.lamp_cycles)
+        share = room_light / total
+        by_ambient = (room - lamp) * (parts.lamp_cycles * parts.room_cycles / total**2)
+        slopes = (1 - share) * lamp_slopes + share * room_slopes
+        transfer = np.asarray((1 - share) * lamp + share * room, np.complex128)
+        return transfer, np.concatenate((by_ambient[None], slopes))
+
+    return motion
 
 
 def window_orbit_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:

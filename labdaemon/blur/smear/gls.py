@@ -29,20 +29,17 @@ from labdaemon.blur.patch.illumination import (
     illumination_coordinates,
     illumination_derivatives,
     paper_level,
-    render_illumination,
     ridge_matrix,
 )
 from labdaemon.blur.patch.pixels import BoolArray, ComplexArray, FloatArray, NoiseModel
-from labdaemon.blur.settings import GLS, SOLVER
+from labdaemon.blur.settings import GLS
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.texture_map import half_plane_frequencies, texture_power, unmapped_power
 from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
-from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.spectra.render import to_single
-from labdaemon.blur.waveform import window_nodes
 from labdaemon.least_squares import scaled_inverse
 
 
@@ -79,80 +76,15 @@ def gls_refine(
     def blur(fx: FloatArray, fy: FloatArray) -> FloatArray:
         return closed_form.blurred_orbit_transfer(fx, fy, float(solution.p[2]), moment_px2)
 
-    motion = _TextureMotion(blur, np.sqrt(np.maximum(moment_px2[[0, 2]], 0.0)), solution.p[:2])
-    part = _FramePart(
+    motion = TextureMotion(blur, np.sqrt(np.maximum(moment_px2[[0, 2]], 0.0)), solution.p[:2])
+    part = FramePart(
         problem.planes, problem.shape_count, solution.light, solution.signal, solution.weight > 0, dark, by_p
     )
-    normal = _frame_equations(sharp, part, motion)
-    return _refine(solution, normal[:, :-1], normal[:, -1], prior)
+    normal, _ = frame_equations(sharp, part, motion)
+    return refined_solution(solution, normal[:-1, :-1], normal[:-1, -1], prior)
 
 
-def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
-    """As `gls_refine`, of a target in several frames, each through its own window: normal equations add over frames.
-
-    Where the phase hardly shows the model is curved, and steps are repeated.
-
-    Parameters
-    ----------
-    frame_set
-        The target in its frames.
-    solution
-        A converged fit of all of them with independent weights.
-    transfer_factory
-        The kind of motion that was fitted.
-    """
-    sharp = frame_set.sharp
-    # A single frame under constant light does not show its phase: at the turning points of the phase the model has no
-    # slope, and an undamped step has no bound.
-    if not frame_set.shows_phase or not sharp.noise_known or solution.chi2 > GLS.max_chi2:
-        return solution
-    unrefined = solution
-    for _ in range(GLS.frame_steps):
-        before = solution
-        solution = _step_frames(frame_set, before, transfer_factory)
-        away = np.abs(solution.p - unrefined.p)
-        if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance)))):
-            return unrefined
-        step = np.abs(solution.p - before.p)
-        if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance))):
-            break
-        dark, _ = frame_set.forward_model(transfer_factory, _max_amplitude_px(frame_set, solution.p))(solution.p)
-        solution = replace(solution, signal=render_illumination(frame_set.planes, solution.light, dark))
-    return solution
-
-
-def _max_amplitude_px(frame_set: FrameSet, p: FloatArray) -> float:
-    return 3.0 + 1.3 * float(np.linalg.norm(p[frame_set.first_motion :]))
-
-
-def _step_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
-    """One step of `gls_refine_frames`."""
-    p, first = solution.p, frame_set.first_motion
-    max_amplitude_px = _max_amplitude_px(frame_set, p)
-    dark, by_p = frame_set.forward_model(transfer_factory, max_amplitude_px, exact=True)(p)
-    normal, pull = np.zeros((len(p), len(p))), np.zeros(len(p))
-    nuisance = FRAME_PARAMETERS * len(frame_set.problems)
-    for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
-        own = [*range(FRAME_PARAMETERS * index, FRAME_PARAMETERS * (index + 1)), *range(nuisance, len(p))]
-        rows = frame_set.rows(index)
-        part = _FramePart(
-            frame_set.planes_of(index),
-            problem.shape_count,
-            solution.light[rows],
-            solution.signal[rows],
-            solution.weight[rows] > 0,
-            dark[rows],
-            by_p[own][:, rows],
-        )
-        transfer = transfer_factory(*window_nodes(window, max_amplitude_px))
-        motion = _TextureMotion.through_window(transfer, p[own[:FRAME_PARAMETERS]], p[first:])
-        equations = _frame_equations(frame_set.sharp, part, motion)
-        normal[np.ix_(own, own)] += equations[:, :-1]
-        pull[own] += equations[:, -1]
-    return _refine(solution, normal, pull, frame_set.prior(len(p) - first))
-
-
-def _refine(solution: Solution, normal: FloatArray, pull: FloatArray, prior: Prior) -> Solution:
+def refined_solution(solution: Solution, normal: FloatArray, pull: FloatArray, prior: Prior) -> Solution:
     """The step of filtered normal equations, and their inverse as covariance."""
     covariance = scaled_inverse(normal + prior.precision)
     step = covariance @ (pull - prior.precision @ (solution.p - prior.mean))
@@ -161,7 +93,7 @@ def _refine(solution: Solution, normal: FloatArray, pull: FloatArray, prior: Pri
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FramePart:
+class FramePart:
     """One frame's part of a fit.
 
     Attributes
@@ -183,13 +115,42 @@ class _FramePart:
     by_p: FloatArray
 
 
-def _frame_equations(sharp: SharpTarget, part: _FramePart, motion: _TextureMotion) -> FloatArray:
-    """(k, k + 1) filtered normal matrix of a frame, and its product with the residuals in the last column.
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameWeights:
+    """Weights of one frame: W and F of the module's docstring.
+
+    Attributes
+    ----------
+    weight
+        (n, h, w) inverse variances of the independent noise.
+    keep
+        Half spectrum of the filter.
+    """
+
+    weight: FloatArray
+    keep: FloatArray
+
+
+def frame_equations(
+    sharp: SharpTarget, part: FramePart, motion: TextureMotion, weights: FrameWeights | None = None
+) -> tuple[FloatArray, FrameWeights]:
+    """Filtered products of a frame's derivatives and residuals, and the weights used.
 
     The frame's illumination, its curvature and the amplitudes of the mapped texture are eliminated.
+
+    Parameters
+    ----------
+    weights
+        To be used instead of those that the motion makes, so that sums of squares can be compared.
+
+    Returns
+    -------
+    products, weights
+        (k + 1, k + 1), residuals last: the last element is their weighted sum of squares.
     """
     noise, planes, k = sharp.noise, part.planes, len(part.by_p)
-    weight = np.where(part.valid, 1 / np.maximum(noise.variance(part.signal), 1e-12), 0.0)
+    own = np.where(part.valid, 1 / np.maximum(noise.variance(part.signal), 1e-12), 0.0)
+    weight = own if weights is None else weights.weight
     level = merge_planes(planes, paper_level(planes, part.light))
     columns = illumination_derivatives(planes, part.light, part.dark, part.by_p)
     root = merge_planes(planes, np.sqrt(weight))
@@ -202,25 +163,30 @@ def _frame_equations(sharp: SharpTarget, part: _FramePart, motion: _TextureMotio
     wanted = np.concatenate((columns[:, :k].swapaxes(0, 1), to_single(np.stack((*extra, left)))))
     free = merge_planes(planes, _project_out_illumination(wanted, columns[:, k:], to_single(weight)))
     size = tuple(int(fft.next_fast_len(length + GLS.margin_px, real=True)) for length in root.shape)
-    texture_amplitudes = texture_noise.texture_amplitudes(free[k + 3 : -1], free[-1], root)
-    residual_spectrum = texture_noise.residual_spectrum(
-        texture_amplitudes, _unmapped_fraction(sharp, planes, free[3 + part.shape_count : k], root), size
-    )
-    paper = root > 0
-    ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
-    keep = 1 / (1 + ratio * residual_spectrum)
+    if weights is None:
+        amplitudes = texture_noise.texture_amplitudes(free[k + 3 : -1], free[-1], root)
+        unmapped = _unmapped_fraction(sharp, planes, free[3 + part.shape_count : k], root)
+        paper = root > 0
+        ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
+        keep = 1 / (1 + ratio * texture_noise.residual_spectrum(amplitudes, unmapped, size))
+        weights = FrameWeights(weight, keep)
     waves = fft.rfft2(free * to_single(root), s=size)
-    normal = _filtered_products(waves[:-1], waves, keep, size)
+    normal = _filtered_products(waves, waves, weights.keep, size)
     expected = [(0.0, GLS.curvature_sd)] * 3 + [GLS.moving_prior, GLS.static_prior][: len(texture_noise.predictions)]
     mean, sd = np.array(expected).T
-    normal[k:, k:-1] += np.diag(sd**-2)
-    normal[k:, -1] += mean * sd**-2
-    result: FloatArray = normal[:k, [*range(k), -1]]
-    return result - normal[:k, k:-1] @ scaled_inverse(normal[k:, k:-1]) @ normal[k:, [*range(k), -1]]
+    extras = slice(k, k + len(expected))
+    normal[extras, extras] += np.diag(sd**-2)
+    normal[extras, -1] += mean * sd**-2
+    normal[-1, extras] += mean * sd**-2
+    normal[-1, -1] += float(np.sum((mean / sd) ** 2))
+    kept = [*range(k), -1]
+    eliminated = scaled_inverse(normal[extras, extras]) @ normal[extras][:, kept]
+    result: FloatArray = normal[np.ix_(kept, kept)] - normal[kept][:, extras] @ eliminated
+    return result, weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _TextureMotion:
+class TextureMotion:
     """How the motion and the extra blur smear the paper texture of one frame.
 
     Attributes
@@ -238,7 +204,7 @@ class _TextureMotion:
     place_px: FloatArray
 
     @classmethod
-    def through_window(cls, transfer: TransferFunction, place: FloatArray, motion: FloatArray) -> _TextureMotion:
+    def through_window(cls, transfer: TransferFunction, place: FloatArray, motion: FloatArray) -> TextureMotion:
         """Of a motion seen through a window.
 
         Parameters
@@ -279,14 +245,14 @@ class _TextureNoise:
     predictions: list[FloatArray]
     noise: NoiseModel
     map_noise: float
-    motion: _TextureMotion
+    motion: TextureMotion
 
     @classmethod
     def predict(
         cls,
         sharp: SharpTarget,
         planes: ColourPlanes,
-        motion: _TextureMotion,
+        motion: TextureMotion,
         signal: FloatArray,
         level: FloatArray,
     ) -> _TextureNoise:

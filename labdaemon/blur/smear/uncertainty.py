@@ -114,6 +114,9 @@ def _variations(window: ExposureWindow) -> list[ExposureWindow]:
         varied.append(replace(window, phase_rad=(window.phase_rad or 0.0) + window.sd_phase_rad))
     if window.sd_exposure_s > 0:
         varied.append(replace(window, exposure_s=window.exposure_s + window.sd_exposure_s))
+    light = window.light
+    if light is not None and light.sd_phase_rad > 0:
+        varied.append(replace(window, light=replace(light, phase_rad=light.phase_rad + light.sd_phase_rad)))
     harmonics = window.harmonics
     for place, sd in enumerate(harmonics.sd if harmonics is not None else ()):
         if harmonics is not None and sd > MIN_HARMONIC_SD:

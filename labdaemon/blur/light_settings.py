@@ -1,0 +1,37 @@
+"""Thresholds of frames that show the phase; the sources are those of ``settings``, to which this page belongs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class LightSettings:
+    """Valleys of the phase, twins, and the check of the code (``phase.valleys``, ``candidates``, ``light_check``)."""
+
+    valley_step_rad: float = 0.22
+    """Distance, on either side of a minimum, from which a neighbouring one is searched: half a step of the profile."""
+    min_noise_scale: float = 0.7
+    """Least mean squared residual by which differences of costs are scaled: noise may be less than in the sharp frame,
+    but a small one is a coincidence. Trial."""
+    orbit_rivals: int = 3
+    """Rivals of the best in-phase motion from which orbits are followed under coded light. Trial."""
+    rival_limit: float = 30.0
+    """Excess of cost up to which another motion is reported: cameras together may prefer it. Statistics: e⁻¹⁵."""
+    same_valley_rad: float = 0.4
+    """Difference of phase up to which two minima are one valley, whose covariance holds both. Trial: codes of seven
+    sectors make twins from 0.3 rad on, but those nearer than this are one motion for any practical purpose."""
+    light_parts: int = 8
+    """Parts of the cycle whose brightness is checked, where the code has more sectors."""
+    light_correction_sd: float = 0.05
+    """Standard deviation up to which a correction of the brightness counts as seen. Trial."""
+    light_mismatch_probability: float = 1e-6
+    """Probability of the corrections, the code being played, below which it was not. Statistics."""
+    light_mismatch_rms: float = 0.03
+    """Root mean square correction, in parts of the full brightness, that counts. Trial: lamps fade and warm up."""
+    coded_minima: int = 6
+    """Local minima of the phase profile that are refined where the phase shows. Trial."""
+    code_axes: int = 3  # axes about which a code most resembles its mirror image, each tried as a twin; trial
+
+
+LIGHT = LightSettings()

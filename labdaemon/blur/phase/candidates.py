@@ -1,0 +1,114 @@
+"""Solutions of one fit weighed against each other with the paper texture in the weights: the best, and its rivals.
+
+A rival in the same valley of the phase widens the covariance. One in another valley, a twin under coded light, is
+reported with its excess, since several cameras decide between twins together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labdaemon.blur.light_settings import LIGHT
+from labdaemon.blur.motion import AlternativeMotion
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
+from labdaemon.blur.smear.gls_frames import compare_solutions, gls_refine_frames
+from labdaemon.blur.solver.reduced_equations import Solution
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeighedCandidates:
+    """A fit's solutions by their likelihood.
+
+    Attributes
+    ----------
+    best, refined
+        The most likely one, and the same after its last steps with the paper texture in the weights.
+    rivals
+        Others, refined likewise.
+    excess
+        Twice the logarithm of the odds of the best against each of them.
+    """
+
+    best: Solution
+    refined: Solution
+    rivals: tuple[Solution, ...]
+    excess: tuple[float, ...]
+
+    def report(
+        self,
+        selector: FloatArray,
+        value: FloatArray,
+        covariance: FloatArray,
+        vectors: Callable[[FloatArray], FloatArray],
+    ) -> tuple[FloatArray, tuple[AlternativeMotion, ...]]:
+        """The covariance with rivals of the same valley in it, and those of other valleys.
+
+        Parameters
+        ----------
+        selector
+            From all parameters to mean place and motion.
+        value, covariance
+            (6,) and (6, 6) x, y, a, b of the best and their covariance.
+        vectors
+            From mean place and motion to x, y, a, b.
+        """
+        alternatives = []
+        total, weight = covariance.copy(), 1.0
+        phasor = value[2:4] + 1j * value[4:6]
+        for rival, excess in zip(self.rivals, self.excess, strict=True):
+            other = vectors(selector @ rival.p)
+            turn = np.angle(np.vdot(phasor, other[2:4] + 1j * other[4:6]))
+            if abs(turn) < LIGHT.same_valley_rad:
+                odds = float(np.exp(-max(excess, 0.0) / 2))
+                away = other - value
+                total += odds * (covariance + np.outer(away, away))
+                weight += odds
+            elif excess < LIGHT.rival_limit:
+                scale = float(np.linalg.norm(other[2:])) / max(float(np.linalg.norm(value[2:])), 1e-12)
+                # As well known as the best one, turned by the difference of phase.
+                alternatives.append(
+                    AlternativeMotion(
+                        other[:2], other[2:4], other[4:], _turned_covariance(covariance, turn, scale), excess
+                    )
+                )
+        return total / weight, tuple(alternatives)
+
+
+def weigh_candidates(
+    frame_set: FrameSet, solutions: Sequence[Solution], transfer_factory: TransferFactory
+) -> WeighedCandidates:
+    """Refine and compare solutions.
+
+    Parameters
+    ----------
+    frame_set
+        The target in its frames.
+    solutions
+        Of one kind of motion under common weights, the best first.
+    transfer_factory
+        The kind of motion.
+    """
+    scale = max(solutions[0].chi2, LIGHT.min_noise_scale)
+    close = [one for one in solutions if one.cost - solutions[0].cost < 2 * LIGHT.rival_limit * scale]
+    if len(close) == 1:
+        return WeighedCandidates(close[0], gls_refine_frames(frame_set, close[0], transfer_factory), (), ())
+    costs = np.array(compare_solutions(frame_set, close, transfer_factory))
+    order = np.argsort(costs)
+    refined = [gls_refine_frames(frame_set, close[index], transfer_factory) for index in order]
+    excess = (costs[order] - costs[order[0]]) / scale
+    return WeighedCandidates(
+        close[int(order[0])], refined[0], tuple(refined[1:]), tuple(float(one) for one in excess[1:])
+    )
+
+
+def _turned_covariance(covariance: FloatArray, turn_rad: float, scale: float) -> FloatArray:
+    """(6, 6) covariance of x, y, a, b of a motion whose phase is another."""
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    jacobian = np.eye(6)
+    jacobian[2:, 2:] = max(scale, 1.0) * np.kron(np.array([[c, -s], [s, c]]), np.eye(2))
+    result: FloatArray = jacobian @ covariance @ jacobian.T
+    return result

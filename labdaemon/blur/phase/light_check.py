@@ -1,0 +1,120 @@
+"""Whether the lamp played the code that was stated: what the residuals of coded fits say of each sector's brightness.
+
+The lamp is common to all targets of a frame. Its brightness in each part of the cycle is a parameter that each image
+shows a little: the image of that part alone, less the image of the whole, times the change of its share of light. What
+the target's own motion and illumination explain is projected out, and the normal equations of all targets add up. A
+correction that is far from zero, and large, means another code, a lamp that is not wired, a wrong phase between the
+frames of a group, or ambient light that flickers with the excitation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from labdaemon.blur.light_code import LightCode
+from labdaemon.blur.light_settings import LIGHT
+from labdaemon.blur.motion import ExposureWindow, LightScore
+from labdaemon.blur.patch.illumination import paper_level
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
+from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.waveform import light_parts
+
+
+def score_light(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> tuple[LightScore, ...]:
+    """One score for each frame under coded light.
+
+    Parameters
+    ----------
+    frame_set, solution, transfer_factory
+        A fit under weights for independent noise.
+    """
+    reach = 3.0 + 1.3 * float(np.linalg.norm(solution.p[frame_set.first_motion :]))
+    base, _ = frame_set.forward_model(transfer_factory, reach)(solution.p)
+    slope = -paper_level(frame_set.planes, solution.light) * solution.light[:, 3, None, None]
+    root = np.sqrt(solution.weight)
+    scores = []
+    for index, window in enumerate(frame_set.windows):
+        if not window.is_coded or window.light is None:
+            continue
+        rows = frame_set.rows(index)
+        columns = []
+        for part in _parts_of_cycle(window):
+            changed = [*frame_set.windows[:index], part, *frame_set.windows[index + 1 :]]
+            shown, _ = replace(frame_set, windows=changed).forward_model(transfer_factory, reach)(solution.p)
+            column = np.zeros_like(base)
+            column[rows] = (slope * (shown - base) * root)[rows] * _share(window, len(_parts_of_cycle(window)))
+            columns.append(column)
+        left = _project_out(np.stack(columns), solution)
+        scale = max(solution.chi2, LIGHT.min_noise_scale)
+        scores.append(LightScore(left @ left.T / scale, left @ solution.residual.ravel() / scale))
+    return tuple(scores)
+
+
+def is_light_mismatch(scores: Sequence[LightScore]) -> bool:
+    """Whether the targets of a frame together contradict its code.
+
+    Parameters
+    ----------
+    scores
+        Of the frame's targets, for the same code.
+    """
+    if not scores:
+        return False
+    information = np.sum([one.information for one in scores], axis=0)
+    score = np.sum([one.score for one in scores], axis=0)
+    values, vectors = np.linalg.eigh(information)
+    # All parts brighter, or the code turned with all phases, is not seen at all.
+    seen = values > LIGHT.light_correction_sd**-2
+    if not seen.any():
+        return False
+    along = vectors[:, seen].T @ score
+    significant = float(np.sum(along**2 / values[seen])) > chi2.isf(LIGHT.light_mismatch_probability, int(seen.sum()))
+    rms = float(np.sqrt(np.sum((along / values[seen]) ** 2) / len(score)))
+    return bool(significant and rms > LIGHT.light_mismatch_rms)
+
+
+def _parts_of_cycle(window: ExposureWindow) -> list[ExposureWindow]:
+    """The exposure with light in one part of the cycle only, for each of some equal parts."""
+    light = window.light
+    assert light is not None
+    sectors = len(light.brightness)
+    count = sectors if 3 <= sectors <= LIGHT.light_parts else LIGHT.light_parts
+    return [
+        replace(
+            window,
+            light=LightCode(
+                tuple(float(index == part) for index in range(count)),
+                light.phase_rad,
+                light.cycles,
+                sd_ambient=light.sd_ambient,
+            ),
+        )
+        for part in range(count)
+    ]
+
+
+def _share(window: ExposureWindow, count: int) -> float:
+    """Light of one part of the cycle at full brightness over all light."""
+    light, parts = window.light, light_parts(window, 0.0)
+    assert light is not None
+    return light.cycles / count / (parts.lamp_cycles + light.ambient * parts.room_cycles)
+
+
+def _project_out(columns: FloatArray, solution: Solution) -> FloatArray:
+    """(m, pixels) columns less what the fit's own parameters, illumination included, explain of them."""
+    planes, k = len(solution.light), len(solution.p)
+    jacobian = solution.whitened_jacobian.astype(np.float64)
+    flat = columns.reshape(len(columns), planes, -1)
+    own = np.concatenate((jacobian[:, :k].swapaxes(0, 1), flat))
+    for plane in range(planes):
+        light, _ = np.linalg.qr(jacobian[plane, k:].T)
+        own[:, plane] -= (own[:, plane] @ light) @ light.T
+    rows = own.reshape(len(own), -1)
+    basis, _ = np.linalg.qr(rows[:k].T)
+    result: FloatArray = rows[k:] - (rows[k:] @ basis) @ basis.T
+    return result

@@ -1,0 +1,95 @@
+"""All valleys of the phase: minima of the cost of an in-phase motion whose phase shows.
+
+Where frames show the phase, its cost has several valleys, often narrower than the phases that a profile tries. Each
+local minimum of the profile is followed to its end, and so are the time-reversed solutions of the best one, and starts
+on either side of each minimum that comes close: two valleys may lie between neighbouring phases.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labdaemon.blur.light_settings import LIGHT
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.time_reversal import differ, time_reversed_solutions, wrap_angle
+from labdaemon.blur.settings import PHASE
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, window_in_phase_transfer
+from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.solver.solve import solve
+
+
+def follow_valleys(
+    frame_set: FrameSet, phases: FloatArray, solutions: list[Solution], max_amplitude_px: float
+) -> list[Solution]:
+    """Minima of the cost over the phase, under the weights of the first one, from the lowest.
+
+    Parameters
+    ----------
+    frame_set
+        Frames that show the phase.
+    phases, solutions
+        (n,) evenly over the circle, and the in-phase motion at each, phase and shape held.
+    max_amplitude_px
+        Largest amplitude to be represented.
+
+    Returns
+    -------
+    list of Solution
+        Distinct ones, with the phase and the target's shape free.
+    """
+    model, prior = frame_set.forward_model(window_in_phase_transfer, max_amplitude_px), frame_set.prior(3)
+    cost = np.array([one.cost for one in solutions])
+    minima = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
+    # Coded light has narrow minima, which the phases that were tried do not show in their depth.
+    coded = any(window.is_coded for window in frame_set.windows)
+    minima = minima[np.argsort(cost[minima])][: LIGHT.coded_minima]
+    starts = [solutions[index] for index in minima if coded or cost[index] < cost[minima[0]] + PHASE.max_extra_cost]
+    start = with_free_phase(frame_set, starts[0], float(phases[minima[0]]))
+    first = solve(frame_set.planes, frame_set.weights, model, start, prior, light=starts[0].light)
+    kept = first.weight  # so that costs can be compared
+
+    def follow(start: FloatArray, near: Solution) -> Solution:
+        return solve(frame_set.planes, lambda _: kept, model, start, prior, light=near.light, max_iterations=20)
+
+    found = [first]
+    found += [
+        follow(with_free_phase(frame_set, near, float(phases[index])), near)
+        for near, index in zip(starts[1:], minima[1:], strict=False)
+    ]
+    best = min(found, key=lambda one: one.cost)
+    for a, b in time_reversed_solutions(frame_set, *solution_vectors(best)):
+        v, phase = best.p[-3:-1], float(best.p[-1])
+        found.append(follow(_turned(best, wrap_angle(float(np.arctan2(b @ v, a @ v)) - phase)), best))
+    lowest = min(one.cost for one in found)
+    scale = max(best.chi2, LIGHT.min_noise_scale)
+    for one in [one for one in distinct(found) if one.cost < lowest + PHASE.max_extra_cost * scale]:
+        found += [follow(_turned(one, turn), one) for turn in (-LIGHT.valley_step_rad, LIGHT.valley_step_rad)]
+    return distinct(found)
+
+
+def distinct(solutions: list[Solution]) -> list[Solution]:
+    """In-phase solutions that are not the same again, from the lowest cost."""
+    kept: list[Solution] = []
+    for one in sorted(solutions, key=lambda one: one.cost):
+        if all(differ(*solution_vectors(other), *solution_vectors(one)) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def solution_vectors(solution: Solution) -> tuple[FloatArray, FloatArray]:
+    """Vectors a and b of an in-phase solution."""
+    v, phase = solution.p[-3:-1], float(solution.p[-1])
+    return v * np.cos(phase), v * np.sin(phase)
+
+
+def with_free_phase(frame_set: FrameSet, near: Solution, phase_rad: float) -> FloatArray:
+    """Parameters to start from, by a solution with phase and shape held."""
+    places = near.p[: FRAME_PARAMETERS * len(frame_set.problems)]
+    return np.concatenate((places, np.zeros(frame_set.nuisance_count), near.p[-2:], [phase_rad]))
+
+
+def _turned(solution: Solution, turn_rad: float) -> FloatArray:
+    """The parameters of a solution at another phase."""
+    start = solution.p.copy()
+    start[-1] += turn_rad
+    return start

@@ -1,0 +1,130 @@
+"""Generalised least squares over several frames, each through its own window, and the evidence between solutions.
+
+The weights are those of `gls`. Normal equations add over frames. With the same weights the sums of squares of two
+solutions can be compared, which is how a motion is told from its twins: sums under weights for independent noise take
+the paper texture for evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labdaemon.blur.patch.illumination import render_illumination
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.settings import GLS, SOLVER
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
+from labdaemon.blur.smear.gls import FramePart, FrameWeights, TextureMotion, frame_equations, refined_solution
+from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.least_squares import scaled_inverse
+
+
+def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
+    """As `gls_refine`, of a target in several frames, each through its own window: normal equations add over frames.
+
+    Where the phase hardly shows the model is curved, and steps are repeated.
+
+    Parameters
+    ----------
+    frame_set
+        The target in its frames.
+    solution
+        A converged fit of all of them with independent weights.
+    transfer_factory
+        The kind of motion that was fitted.
+    """
+    sharp = frame_set.sharp
+    # A single frame under constant light does not show its phase: at the turning points of the phase the model has no
+    # slope, and an undamped step has no bound.
+    if not frame_set.shows_phase or not sharp.noise_known or solution.chi2 > GLS.max_chi2:
+        return solution
+    unrefined = solution
+    for _ in range(GLS.frame_steps):
+        before = solution
+        solution = _step_frames(frame_set, before, transfer_factory)
+        away = np.abs(solution.p - unrefined.p)
+        if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance)))):
+            return unrefined
+        step = np.abs(solution.p - before.p)
+        if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance))):
+            break
+        dark, _ = frame_set.forward_model(transfer_factory, _max_amplitude_px(frame_set, solution.p))(solution.p)
+        solution = replace(solution, signal=render_illumination(frame_set.planes, solution.light, dark))
+    return solution
+
+
+def _max_amplitude_px(frame_set: FrameSet, p: FloatArray) -> float:
+    return 3.0 + 1.3 * float(np.linalg.norm(p[frame_set.first_motion :]))
+
+
+def compare_solutions(
+    frame_set: FrameSet, solutions: Sequence[Solution], transfer_factory: TransferFactory
+) -> list[float]:
+    """Twice the negative logarithm of each solution's likelihood, under the weights of the first.
+
+    Parameters
+    ----------
+    frame_set
+        The target in its frames.
+    solutions
+        Of one kind of motion, near their minima: the last step to them is included.
+    transfer_factory
+        The kind of motion.
+
+    Returns
+    -------
+    list of float
+        The solutions' own sums of squares where the noise is not known.
+    """
+    if not frame_set.sharp.noise_known or solutions[0].chi2 > GLS.max_chi2:
+        return [one.cost for one in solutions]
+    weights: list[FrameWeights] | None = None
+    costs = []
+    for solution in solutions:
+        equations, used = _frames_equations(frame_set, solution, transfer_factory, weights)
+        weights = weights or used
+        prior = frame_set.prior(len(solution.p) - frame_set.first_motion)
+        pull = equations[:-1, -1] - prior.precision @ (solution.p - prior.mean)
+        gain = float(pull @ scaled_inverse(equations[:-1, :-1] + prior.precision) @ pull)
+        costs.append(float(equations[-1, -1]) + prior.cost(solution.p) - gain)
+    return costs
+
+
+def _step_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
+    """One step of `gls_refine_frames`."""
+    equations, _ = _frames_equations(frame_set, solution, transfer_factory, None)
+    prior = frame_set.prior(len(solution.p) - frame_set.first_motion)
+    return refined_solution(solution, equations[:-1, :-1], equations[:-1, -1], prior)
+
+
+def _frames_equations(
+    frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory, weights: Sequence[FrameWeights] | None
+) -> tuple[FloatArray, list[FrameWeights]]:
+    """(k + 1, k + 1) products of all frames, and the weights of each."""
+    p, first, ambient = solution.p, frame_set.first_motion, frame_set.ambient_count
+    max_amplitude_px = _max_amplitude_px(frame_set, p)
+    dark, by_p = frame_set.forward_model(transfer_factory, max_amplitude_px, exact=True)(p)
+    total, used = np.zeros((len(p) + 1, len(p) + 1)), []
+    nuisance = FRAME_PARAMETERS * len(frame_set.problems)
+    for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
+        own = [*range(FRAME_PARAMETERS * index, FRAME_PARAMETERS * (index + 1)), *range(nuisance, len(p))]
+        rows = frame_set.rows(index)
+        part = FramePart(
+            frame_set.planes_of(index),
+            problem.shape_count + ambient,
+            solution.light[rows],
+            solution.signal[rows],
+            solution.weight[rows] > 0,
+            dark[rows],
+            by_p[own][:, rows],
+        )
+        transfer = frame_set.transfer(window, transfer_factory, max_amplitude_px)
+        motion = TextureMotion.through_window(transfer, p[own[:FRAME_PARAMETERS]], p[first - ambient :])
+        products, own_weights = frame_equations(
+            frame_set.sharp, part, motion, None if weights is None else weights[index]
+        )
+        total[np.ix_([*own, -1], [*own, -1])] += products
+        used.append(own_weights)
+    return total, used

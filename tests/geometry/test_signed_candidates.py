@@ -1,0 +1,149 @@
+"""Twins of signed motions: settled by all cameras together, by the phase that targets share, or left ambiguous."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labdaemon.flags import Flag
+from labdaemon.geometry import ImageMotion, ObjectMotion, intersect_motion, intersect_targets
+from labdaemon.geometry.common_phase import compare_phases, phase_of
+from labdaemon.geometry.harmonic import project_motion
+from labdaemon.geometry.motion_candidates import phased_candidate
+from labdaemon.geometry.signed_candidates import orbit_penalty, signed_candidates
+
+TWO = [(-500, -1000, 300), (500, -1000, 500)]
+LEVEL = [(-500, -1000, 370), (500, -1000, 370)]
+MEAN = np.array([20.0, 10.0, 370.0])
+SD_PX = 0.01
+
+
+def turned(a, b, angle):
+    """The motion at another phase."""
+    c, s = np.cos(angle), np.sin(angle)
+    return c * a - s * b, s * a + c * b
+
+
+def image(camera, a, b, *, twin_rad: float, excess: float, wrong: bool = False) -> ImageMotion:
+    """A camera's image of a motion and its twin; `wrong` takes the twin for the better one."""
+    numbers = project_motion(camera.project_with_jacobians, np.stack([MEAN, a, b]))[0]
+    twin = turned(numbers[2:4], numbers[4:], twin_rad)
+    noise = np.eye(6) * SD_PX**2
+    motions = [(numbers[2:4], numbers[4:]), twin]
+    first, second = motions[::-1] if wrong else motions
+    other = ImageMotion(numbers[:2], *second, noise, True, excess=excess)
+    return ImageMotion(numbers[:2], *first, noise, True, alternatives=(other,))
+
+
+@pytest.mark.parametrize("places", [TWO, LEVEL])
+@pytest.mark.parametrize("excess", [0.5, 5.0])
+def test_a_camera_on_the_wrong_twin_is_overruled_by_the_others(look, places, excess: float) -> None:
+    """Level motion in the epipolar plane too: rays do not decide there, but an orbit is less likely than a line."""
+    cameras = [look(place) for place in places]
+    a, b = np.array([-2.0, 1.0, 0.0]), np.array([-1.0, 0.5, 0.0])
+    seen = [
+        image(cameras[0], a, b, twin_rad=1.2, excess=14.0),
+        image(cameras[1], a, b, twin_rad=2.5, excess=excess, wrong=True),
+    ]
+    joined = intersect_motion(cameras, seen)
+    assert joined.motion.residual_ratio is not None
+    np.testing.assert_allclose(joined.motion.a_mm, a, atol=0.05)
+    if places is TWO:
+        assert not joined.motion.flags
+        assert joined.resolved_by == "phase"
+
+
+def test_twins_that_no_camera_excludes_stay_ambiguous(look) -> None:
+    cameras = [look(place) for place in TWO]
+    a, b = np.array([-2.0, 1.0, 0.5]), np.array([-1.0, 0.5, 0.25])
+    joined = intersect_motion(cameras, [image(one, a, b, twin_rad=2.0, excess=3.0) for one in cameras])
+    assert Flag.AMBIGUOUS in joined.motion.flags
+    assert joined.alternative is not None
+    assert joined.motion.residual_ratio is not None
+    assert joined.motion.residual_ratio >= 1.0
+
+
+def test_evidence_of_several_cameras_adds_up(look) -> None:
+    cameras = [look(place) for place in TWO]
+    a, b = np.array([-2.0, 1.0, 0.5]), np.array([-1.0, 0.5, 0.25])
+    joined = intersect_motion(cameras, [image(one, a, b, twin_rad=2.0, excess=6.0) for one in cameras])
+    assert not joined.motion.flags
+
+
+def test_a_neighbour_without_phase_does_not_hide_a_twin(look) -> None:
+    """One camera hardly shows the phase: what the other leaves open stays open."""
+    cameras = [look(place) for place in TWO]
+    a, b = np.array([-2.0, 1.0, 0.5]), np.array([-1.0, 0.5, 0.25])
+    open_one = image(cameras[0], a, b, twin_rad=2.0, excess=3.0)
+    loose = image(cameras[1], a, b, twin_rad=2.0, excess=99.0)
+    phasor = np.concatenate((loose.a_px, loose.b_px))
+    wide = np.eye(6) * SD_PX**2
+    wide[2:, 2:] += float(phasor @ phasor) * np.eye(4) * 0.4
+    size = np.hypot(np.linalg.norm(loose.a_px), np.linalg.norm(loose.b_px))
+    axes = ImageMotion(loose.mean_px, loose.a_px / np.linalg.norm(loose.a_px) * size, np.zeros(2), np.eye(6) * SD_PX**2)
+    loose = replace(loose, covariance_px2=wide, axes=axes, alternatives=())
+    assert Flag.AMBIGUOUS in intersect_motion(cameras, [open_one, loose]).motion.flags
+    settled = replace(open_one, alternatives=())
+    assert Flag.AMBIGUOUS not in intersect_motion(cameras, [settled, loose]).motion.flags
+
+
+def test_the_prior_prefers_lines_and_does_not_forbid_orbits(look) -> None:
+    cameras = [look(place) for place in TWO]
+    exterior = np.zeros((12, 12))
+    penalties = []
+    for ratio in (0.0, 0.01, 0.3, 1.0):
+        a, b = np.array([-2.0, 0.0, 0.5]), ratio * np.array([0.0, 2.0, 0.0])
+        seen = [image(one, a, b, twin_rad=2.0, excess=50.0) for one in cameras]
+        penalties.append(orbit_penalty(phased_candidate(cameras, exterior, seen)))
+    assert penalties[0] < 0.5
+    assert np.all(np.diff(penalties) > -1e-6)
+    assert 5.0 < penalties[-1] < 12.0
+
+
+def test_combinations_are_sorted_by_all_that_speaks_against_them(look) -> None:
+    cameras = [look(place) for place in TWO]
+    a, b = np.array([-2.0, 1.0, 0.5]), np.array([-1.0, 0.5, 0.25])
+    seen = [image(one, a, b, twin_rad=2.0, excess=6.0) for one in cameras]
+    found = signed_candidates(cameras, np.zeros((12, 12)), seen)
+    assert len(found) == 4
+    costs = [one.total_cost for one in found]
+    assert costs == sorted(costs)
+    assert costs[-1] > 100  # one camera on its twin, the other not: the rays do not meet
+
+
+def motion(phase: float, sign: float = 1.0, place: float = 0.0) -> ObjectMotion:
+    v = sign * np.array([1.0, 0.4, 0.2])
+    zero = np.array([place, 0.0, 0.0])
+    return ObjectMotion(zero, v * np.cos(phase), v * np.sin(phase), np.eye(9) * 1e-4)
+
+
+def test_the_phase_of_a_motion_does_not_depend_on_its_sign() -> None:
+    assert abs(np.sin(phase_of(motion(0.7)) - phase_of(motion(0.7, -1.0)))) < 1e-9
+
+
+def test_targets_at_one_phase_speak_for_the_twin_that_shares_it() -> None:
+    settled = [motion(0.7 + 0.01 * index, (-1.0) ** index) for index in range(8)]
+    assert compare_phases((motion(0.72), motion(2.0)), settled) > 4.0
+    assert compare_phases((motion(2.0), motion(0.72)), settled) < -4.0
+
+
+def test_targets_at_any_phase_speak_for_nothing() -> None:
+    scattered = [motion(phase) for phase in np.linspace(0, np.pi, 9)[:-1]]
+    assert compare_phases((motion(0.72), motion(2.0)), scattered) == 0.0
+    assert compare_phases((motion(0.72), motion(2.0)), scattered[:3]) == 0.0
+
+
+def test_a_common_phase_settles_what_the_cameras_leave_open(look) -> None:
+    cameras = dict(zip("lr", [look(place) for place in TWO], strict=True))
+    a, b = np.array([-2.0, 1.0, 0.5]), np.array([-1.0, 0.5, 0.25])
+    images = {
+        f"T{index}": {
+            name: image(one, a, b, twin_rad=2.0, excess=3.0 if index == 0 else 40.0) for name, one in cameras.items()
+        }
+        for index in range(8)
+    }
+    found = intersect_targets(cameras, images)
+    assert found.resolved_by["T0"] == "common phase"
+    assert not found.motions["T0"].flags
