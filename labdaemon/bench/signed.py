@@ -17,9 +17,7 @@ from labdaemon.bench.simulator import folder_maker
 from labdaemon.blur import DotImage, ExposureWindow, FloatArray, Measurement, NoiseModel, predict_sd
 from labdaemon.flags import Flag
 from labdaemon.geometry import ObjectMotion
-from labdaemon.processing import WorkerPool, open_folder, prepare_sharp
-from labdaemon.processing.envelope import join_motions, measure_in_folder
-from labdaemon.processing.run import jobs
+from labdaemon.processing import WorkerPool, jobs, join_motions, measure_in_folder, open_folder, prepare_sharp
 
 MEAN_GREY = 0.825
 """Mean over the pixels of an RGGB mosaic of the colours' sensitivities 0.58, 1 and 0.72."""

@@ -7,7 +7,7 @@ campaign processed again gives the same numbers.
 
 from labdaemon.processing.boards import CharucoBoard
 from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
-from labdaemon.processing.envelope import CaptureResult, measure_capture
+from labdaemon.processing.envelope import CaptureResult, join_motions, measure_capture, measure_in_folder
 from labdaemon.processing.excitation_facts import CaptureFacts, capture_facts
 from labdaemon.processing.folder import NOT_FRAMES, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
@@ -24,7 +24,7 @@ from labdaemon.processing.prepare import (
     prepare_patches,
 )
 from labdaemon.processing.results_place import FILES, RESULTS, Stamp, stamps
-from labdaemon.processing.run import FolderResult, process_folder
+from labdaemon.processing.run import FolderResult, jobs, process_folder
 from labdaemon.processing.sharpset import SharpSet, prepare_sharp
 from labdaemon.processing.shift import frame_shift
 from labdaemon.processing.survey import read_control, read_targets
@@ -63,9 +63,12 @@ __all__ = [
     "check_frame_sizes",
     "csv_text",
     "frame_shift",
+    "jobs",
+    "join_motions",
     "locate_targets",
     "measure_capture",
     "measure_frames",
+    "measure_in_folder",
     "measure_raw",
     "measurement_row",
     "name_dots",

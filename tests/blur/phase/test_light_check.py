@@ -1,0 +1,76 @@
+"""The lamp's code checked by all targets of a frame: played, another code, and a lamp that is not wired."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labdaemon.blur import (
+    Defocus,
+    Dot,
+    ExposureWindow,
+    InitialGuess,
+    LightCode,
+    fit_sharp,
+    is_light_mismatch,
+    measure_group,
+    named_code,
+)
+from labdaemon.blur.motion import LightScore
+
+SEVEN = named_code("1110100")
+RADIUS, SIZE = 10.0, 55
+MOTIONS = [np.array([2.6, 1.5, 1.2, 0.7]), np.array([-1.2, 2.2, 1.7, -3.1])]
+
+
+@pytest.fixture(scope="module")
+def sharp(area):
+    scene = area.Scene(radius_px=RADIUS)
+    frame = area.render(scene, (SIZE, SIZE), (27.2, 26.7), seed=1)
+    return fit_sharp(Dot(27, 27, RADIUS, RADIUS, 0.0, name="t", paper_px=200), [frame], noise=scene.noise)
+
+
+def scores(area, sharp, played: tuple[float, ...]) -> list[LightScore]:
+    """What two targets say of the code 1110100 when another one was played."""
+    theta = (np.arange(4000) + 0.5) / 4000 * 2 * np.pi
+    light = np.asarray(played)[(theta / (2 * np.pi) * len(played)).astype(int)]
+    share = np.concatenate(([0.0], np.cumsum(light) / light.sum()))
+    window = ExposureWindow(5.0, 1.0, light=LightCode(SEVEN, 0.0, 5, sd_ambient=0.02))
+    found = []
+    for seed, (ax, ay, bx, by) in enumerate(MOTIONS):
+
+        def path(t, ax=ax, ay=ay, bx=bx, by=by):
+            angle = np.interp(t, share, np.linspace(0, 2 * np.pi, 4001))
+            return ax * np.sin(angle) + bx * np.cos(angle), ay * np.sin(angle) + by * np.cos(angle)
+
+        frame = area.render(area.Scene(radius_px=RADIUS), (SIZE, SIZE), (27.0, 27.0), path, seed=50 + seed, samples=250)
+        guess = [InitialGuess(np.array([27.0, 27.0]))]
+        one = measure_group(sharp, [frame], [window], defocus=Defocus(0.0, 0.01), initial_guesses=guess)
+        assert len(one.light_scores) == 1
+        found.append(one.light_scores[0])
+    return found
+
+
+def test_the_code_that_was_stated_is_believed(area, sharp) -> None:
+    assert not is_light_mismatch(scores(area, sharp, SEVEN))
+
+
+@pytest.mark.parametrize("played", [(1.0, 1.0), named_code("1101000")], ids=["not wired", "another code"])
+def test_light_that_was_not_stated_is_seen(area, sharp, played) -> None:
+    assert is_light_mismatch(scores(area, sharp, played))
+
+
+def test_a_correction_counts_when_it_is_both_certain_and_large() -> None:
+    information = np.diag([1e6, 1e6, 1.0])
+    assert is_light_mismatch([LightScore(information, information @ [0.2, 0.0, 0.0])])
+    assert not is_light_mismatch([LightScore(information, information @ [0.01, 0.0, 0.0])])  # certain, and small
+    assert not is_light_mismatch([LightScore(information, information @ [0.0, 0.0, 0.9])])  # large, and not seen
+    assert not is_light_mismatch([])
+
+
+def test_targets_add_up() -> None:
+    """What one target does not show, many do."""
+    information = np.diag([500.0, 500.0, 1.0])
+    one = LightScore(information, information @ [0.15, 0.0, 0.0])
+    assert not is_light_mismatch([one])
+    assert is_light_mismatch([one] * 10)

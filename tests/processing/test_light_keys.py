@@ -1,0 +1,60 @@
+"""Keys of coded light in `capture.toml`: what they mean, and which are refused by name."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from labdaemon.processing.folder import CaptureFile
+
+CODE = {"light": [1, 1, 1, 0, 1, 0, 0], "frequency_hz": 5.0, "exposure_s": 1.0, "light_cycles": 4}
+
+
+def test_ambient_light_has_a_standard_deviation_of_its_own_or_a_default() -> None:
+    default = CaptureFile.model_validate({**CODE, "ambient": 0.5}).light_code()
+    stated = CaptureFile.model_validate({**CODE, "ambient": 0.5, "sd_ambient": 0.2}).light_code()
+    exact = CaptureFile.model_validate({**CODE, "sd_ambient": 0.0}).light_code()
+    assert default is not None
+    assert stated is not None
+    assert exact is not None
+    assert default.sd_ambient == pytest.approx(0.07)
+    assert stated.sd_ambient == 0.2
+    assert exact.sd_ambient == 0.0
+
+
+def test_the_sd_of_the_codes_phase_reaches_the_fit() -> None:
+    window = CaptureFile.model_validate({**CODE, "light_phase_rad": 0.3, "sd_light_phase_rad": 0.01}).window("left")
+    assert window is not None
+    assert window.light is not None
+    assert window.light.sd_phase_rad == 0.01
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("light", [1, 2, 0]),
+        ("light", [0, 0, 0]),
+        ("light", [1]),
+        ("light", [1, float("nan")]),
+        ("light_phase_rad", float("inf")),
+        ("light_cycles", 0),
+        ("light_cycles", 6),
+        ("light_cycles", 2.5),
+        ("ambient", -0.1),
+        ("ambient", float("nan")),
+        ("sd_ambient", -1.0),
+        ("sd_light_phase_rad", float("nan")),
+        ("light_rise_s", -1e-4),
+        ("light_rise_s", 0.2),
+    ],
+)
+def test_bad_values_are_refused(key: str, value: object) -> None:
+    with pytest.raises(ValidationError) as refused:
+        CaptureFile.model_validate({**CODE, key: value})
+    assert key.split("_", maxsplit=1)[0] in str(refused.value) or "rise" in str(refused.value)
+
+
+@pytest.mark.parametrize("key", ["light_phase_rad", "light_cycles", "light_rise_s", "sd_light_phase_rad", "sd_ambient"])
+def test_keys_of_the_lamp_without_a_code_are_refused_by_name(key: str) -> None:
+    with pytest.raises(ValidationError, match=key):
+        CaptureFile.model_validate({"frequency_hz": 5.0, "exposure_s": 1.0, key: 1})
