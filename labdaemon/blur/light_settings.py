@@ -27,6 +27,8 @@ class LightSettings:
     """Standard deviation up to which a correction of the brightness counts as seen. Trial."""
     light_mismatch_probability: float = 1e-6
     """Probability of the corrections, the code being played, below which it was not. Statistics."""
+    constant_light_gain: float = 16.0
+    """Squared standard deviations by which constant light must explain a frame better. Statistics: four sd."""
     light_mismatch_rms: float = 0.03
     """Root mean square correction, in parts of the full brightness, that counts. Trial: lamps fade and warm up."""
     coded_minima: int = 6

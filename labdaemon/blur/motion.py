@@ -91,10 +91,13 @@ class LightScore:
         (n, n) of the corrections of n equal parts of the cycle, in parts of the lamp's full brightness.
     score
         (n,) its product with the corrections that explain the residuals best.
+    constant_excess
+        By how many squared standard deviations constant light explains the image less well than the code.
     """
 
     information: FloatArray
     score: FloatArray
+    constant_excess: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

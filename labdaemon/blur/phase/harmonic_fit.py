@@ -98,7 +98,7 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
     if orbit and minor.square_px2 > UNCERTAINTY.rest_sds * unsure:
         found = _fit_orbit(frame_set, profile, moment_px2, minor)
     else:
-        found = _fit_in_phase(frame_set, profile, minor)
+        found = _fit_in_phase(frame_set, profile, moment_px2, minor)
     return replace(found, anisotropy_px2=one_sided)
 
 
@@ -129,10 +129,12 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
     if not profile.coded:
         return found
-    return replace(found, alternatives=alternatives, light_scores=score_light(frame_set, best, window_orbit_transfer))
+    return replace(
+        found, alternatives=alternatives, light_scores=score_light(frame_set, best, window_orbit_transfer, moment_px2)
+    )
 
 
-def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) -> HarmonicFit:
+def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArray, minor: MinorAxis) -> HarmonicFit:
     """The in-phase motion by all its phases, with the minor axis that it may have in the covariance."""
     candidates = [profile.best, *profile.rivals] if profile.coded else [profile.best]
     weighed = weigh_candidates(frame_set, candidates, window_in_phase_transfer)
@@ -174,7 +176,7 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, minor: MinorAxis) 
         in_phase.phase_unresolved,
         ambiguous,
         alternatives=alternatives,
-        light_scores=score_light(frame_set, best, window_in_phase_transfer) if profile.coded else (),
+        light_scores=score_light(frame_set, best, window_in_phase_transfer, moment_px2) if profile.coded else (),
     )
 
 

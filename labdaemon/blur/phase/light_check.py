@@ -3,7 +3,7 @@
 The lamp is common to all targets of a frame. Its brightness in each part of the cycle is a parameter that each image
 shows a little: the image of that part alone, less the image of the whole, times the change of its share of light. What
 the target's own motion and illumination explain is projected out, and the normal equations of all targets add up. A
-correction that is far from zero, and large, means another code, a lamp that is not wired, a wrong phase between the
+correction that is far from zero, and large, or constant light that explains the images better, means another code, a lamp that is not wired, a wrong phase between the
 frames of a group, or ambient light that flickers with the excitation.
 """
 
@@ -20,19 +20,26 @@ from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import ExposureWindow, LightScore
 from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
+from labdaemon.blur.settings import PHASE
+from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory, window_orbit_transfer
 from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import light_parts
 
 
-def score_light(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> tuple[LightScore, ...]:
+def score_light(
+    frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory, moment_px2: FloatArray
+) -> tuple[LightScore, ...]:
     """One score for each frame under coded light.
 
     Parameters
     ----------
     frame_set, solution, transfer_factory
         A fit under weights for independent noise.
+    moment_px2
+        (2, 2) aaᵀ + bbᵀ by the smear's moments.
     """
+    constant = _constant_excess(frame_set, solution, moment_px2)
     reach = 3.0 + 1.3 * float(np.linalg.norm(solution.p[frame_set.first_motion :]))
     base, _ = frame_set.forward_model(transfer_factory, reach)(solution.p)
     slope = -paper_level(frame_set.planes, solution.light) * solution.light[:, 3, None, None]
@@ -51,7 +58,7 @@ def score_light(frame_set: FrameSet, solution: Solution, transfer_factory: Trans
             columns.append(column)
         left = _project_out(np.stack(columns), solution)
         scale = max(solution.chi2, LIGHT.min_noise_scale)
-        scores.append(LightScore(left @ left.T / scale, left @ solution.residual.ravel() / scale))
+        scores.append(LightScore(left @ left.T / scale, left @ solution.residual.ravel() / scale, constant))
     return tuple(scores)
 
 
@@ -65,6 +72,8 @@ def is_light_mismatch(scores: Sequence[LightScore]) -> bool:
     """
     if not scores:
         return False
+    if sum(one.constant_excess for one in scores) < -LIGHT.constant_light_gain:
+        return True
     information = np.sum([one.information for one in scores], axis=0)
     score = np.sum([one.score for one in scores], axis=0)
     values, vectors = np.linalg.eigh(information)
@@ -76,6 +85,19 @@ def is_light_mismatch(scores: Sequence[LightScore]) -> bool:
     significant = float(np.sum(along**2 / values[seen])) > chi2.isf(LIGHT.light_mismatch_probability, int(seen.sum()))
     rms = float(np.sqrt(np.sum((along / values[seen]) ** 2) / len(score)))
     return bool(significant and rms > LIGHT.light_mismatch_rms)
+
+
+def _constant_excess(frame_set: FrameSet, solution: Solution, moment_px2: FloatArray) -> float:
+    """By how many squared standard deviations whole cycles of constant light explain the frames less well."""
+    windows = [ExposureWindow(1.0, 1.0) for _ in frame_set.windows]
+    plain = replace(frame_set, windows=windows, ambient_held=True)
+    values, vectors = np.linalg.eigh(moment_px2)
+    minor, major = (np.sqrt(max(value, PHASE.min_moment_px2)) * vectors[:, k] for k, value in enumerate(values))
+    start = plain.initial_parameters(major, minor, np.concatenate((major, minor)))
+    model = plain.forward_model(window_orbit_transfer, 3.0 + 1.3 * float(np.hypot(*major)))
+    kept = solution.weight  # so that costs can be compared
+    found = solve(plain.planes, lambda _: kept, model, start, plain.prior(4))
+    return (found.cost - solution.cost) / max(solution.chi2, LIGHT.min_noise_scale)
 
 
 def _parts_of_cycle(window: ExposureWindow) -> list[ExposureWindow]:
