@@ -40,21 +40,20 @@ def _image_line(result: SignedResult) -> str:
     if not chosen:
         return f"{result.case.title}: none of {len(every)} without a flag"
     if not result.case.codes:
-        error = np.array([one.vector_error_mm for one in chosen])
         ratio = _rms([one.vector_error_mm / one.bound_mm for one in chosen])
         bound = _rms([one.bound_mm for one in chosen])
         return (
             f"{result.case.title}: {len(chosen)} of {len(every)} unflagged, signed vectors 95 % within "
-            f"{np.percentile(error, 95):.3f} mm, rms {ratio:.2f} x the bound (goal 1.25), which is {bound:.3f} mm rms; "
+            f"{np.percentile([one.vector_error_mm for one in chosen], 95):.3f} mm, rms {ratio:.2f} x the bound (goal 1.25), which is {bound:.3f} mm rms; "
             f"pulls {_pulls(chosen):.2f}"
         )
     sd = float(np.median([one.sd_phase_deg for one in chosen]))
-    error = float(np.median([abs(one.phase_error_deg) for one in chosen])) / _NORMAL_MEDIAN
+    found = float(np.median([abs(one.phase_error_deg) for one in chosen])) / _NORMAL_MEDIAN
     bound = float(np.median([one.bound_phase_deg for one in chosen]))
     ratio = _rms([one.phase_error_deg / one.bound_phase_deg for one in chosen])
     amplitude = np.percentile([abs(one.amplitude_error_mm) for one in chosen], 95)
     return (
-        f"{result.case.title}: {len(chosen)} of {len(every)} unflagged, phase sd {sd:.2f}° stated, {error:.2f}° found "
+        f"{result.case.title}: {len(chosen)} of {len(every)} unflagged, phase sd {sd:.2f}° stated, {found:.2f}° found "
         f"(medians; goal {result.case.goal_deg:g}°), bound {bound:.2f}°, {ratio:.2f} x the bound (goal 1.3); amplitude "
         f"95 % within {amplitude:.4f} mm (goal 0.006); pulls {_pulls(chosen):.2f}"
     )

@@ -3,8 +3,8 @@
 The lamp is common to all targets of a frame. Its brightness in each part of the cycle is a parameter that each image
 shows a little: the image of that part alone, less the image of the whole, times the change of its share of light. What
 the target's own motion and illumination explain is projected out, and the normal equations of all targets add up. A
-correction that is far from zero, and large, or constant light that explains the images better, means another code, a lamp that is not wired, a wrong phase between the
-frames of a group, or ambient light that flickers with the excitation.
+correction that is far from zero, and large, or constant light that explains the images better, means another code, a
+lamp that is not wired, a wrong phase between the frames of a group, or ambient light that flickers with the excitation.
 """
 
 from __future__ import annotations
