@@ -42,9 +42,10 @@ def _image_line(result: SignedResult) -> str:
     if not result.case.codes:
         ratio = _rms([one.vector_error_mm / one.bound_mm for one in chosen])
         bound = _rms([one.bound_mm for one in chosen])
+        p95 = np.percentile([one.vector_error_mm for one in chosen], 95)
         return (
             f"{result.case.title}: {len(chosen)} of {len(every)} unflagged, signed vectors 95 % within "
-            f"{np.percentile([one.vector_error_mm for one in chosen], 95):.3f} mm, rms {ratio:.2f} x the bound (goal 1.25), which is {bound:.3f} mm rms; "
+            f"{p95:.3f} mm, rms {ratio:.2f} x the bound (goal 1.25), which is {bound:.3f} mm rms; "
             f"pulls {_pulls(chosen):.2f}"
         )
     sd = float(np.median([one.sd_phase_deg for one in chosen]))
