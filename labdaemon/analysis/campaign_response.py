@@ -19,7 +19,9 @@ from labdaemon.processing import RESULTS, read_csv
 from labdaemon.tomlfile import read_toml
 
 TABLE_SD = 0.002
-"""Relative sd of the table's amplitude, as a gauge or a calibrated controller confirms it."""
+"""Relative sd of the table's amplitude where it is only stated: a calibrated controller holds it so well."""
+LEAST_TABLE_SD = 2e-4
+"""Smallest relative sd of an amplitude that a gauge saw: its record and the exposure are not quite the same time."""
 UNKNOWN_TABLE_SD = 1.0
 """Where the amplitude of the table is not stated."""
 RIGHT_ANGLE = 1e-3
@@ -84,8 +86,7 @@ def _captures(folder: Path) -> dict[str, dict[str, Any]]:
         _, about = read_toml(path)
         for key in ("frequency_hz", "excitation_amplitude_mm"):
             value = about.get(key)
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if value is not None and not (is_number and 0 < value < 1e9):
+            if value is not None and not _is_positive(value):
                 raise ConfigError(f"must be a positive number, not {value!r}", source=path, key=key)
         found[path.parent.name] = about
         if about.get("group"):
@@ -127,8 +128,8 @@ def _assemble(
         notes.append(f"{folder.name}: rows with flags are left out ({listed})")
     directions = np.isfinite(sd_real).any(axis=(0, 1))
     phase = PhaseReference.STEP if _is_signed(amplitude) else PhaseReference.TARGET
-    stated = [about[name].get("excitation_amplitude_mm") for name in known]
-    missing = sum(value is None for value in stated)
+    tables = [_table(about[name]) for name in known]
+    missing = sum(sd == UNKNOWN_TABLE_SD for _, sd in tables)
     if missing:
         notes.append(f"{folder.name}: {missing} captures do not state the table's amplitude, so it is taken as unknown")
     series = ResponseSeries(
@@ -136,13 +137,30 @@ def _assemble(
         amplitude if phase is PhaseReference.STEP else _along_axes(amplitude),
         sd_real,
         sd_imag,
-        np.array([1.0 if value is None else float(value) for value in stated]),
-        np.array([UNKNOWN_TABLE_SD if value is None else TABLE_SD for value in stated]),
+        np.array([amplitude_mm for amplitude_mm, _ in tables]),
+        np.array([sd for _, sd in tables]),
         phase,
         at_rest,
         names,
     )
     return CampaignResponse(folder, series, _mean_positions(position), directions, tuple(notes))
+
+
+def _table(about: dict[str, Any]) -> tuple[float, float]:
+    """Amplitude of the table and its relative sd: as a gauge on it saw it, else as it was set, else unknown."""
+    gauges = about.get("gauges")
+    for gauge in gauges.values() if isinstance(gauges, dict) else ():
+        if not isinstance(gauge, dict) or gauge.get("role") != "table":
+            continue
+        amplitude, sd = gauge.get("amplitude_mm"), gauge.get("sd_amplitude_mm")
+        if _is_positive(amplitude) and _is_positive(sd) and sd < 0.1 * amplitude:
+            return float(amplitude), max(float(sd / amplitude), LEAST_TABLE_SD)
+    stated = about.get("excitation_amplitude_mm")
+    return (1.0, UNKNOWN_TABLE_SD) if stated is None else (float(stated), TABLE_SD)
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < 1e9
 
 
 def _mean_positions(position: FloatArray) -> FloatArray:

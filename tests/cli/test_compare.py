@@ -201,3 +201,20 @@ def test_wrong_levels(campaign: Callable[..., Path], levels: str) -> None:
     error = refused(campaign("a"), campaign("b"), "--levels-mm", levels)
     assert isinstance(error, UsageError)
     assert "ascending heights" in str(error)
+
+
+def test_a_gauge_on_the_table_is_believed(campaign: Callable[..., Path]) -> None:
+    """The stated amplitude is 20 % off, the gauge says so."""
+    first, second = campaign("a", frequency=DWELLS), campaign("b", frequency=DWELLS, seed=2)
+    for path in second.glob("captures/*/capture.toml"):
+        line = next(one for one in path.read_text().splitlines() if one.startswith("excitation"))
+        amplitude = float(line.split("=")[1])
+        path.write_text(
+            path.read_text().replace(line, f"excitation_amplitude_mm = {1.2 * amplitude}")
+            + f'\n[gauges.bed]\nrole = "table"\namplitude_mm = {amplitude}\nsd_amplitude_mm = {0.001 * amplitude}\n'
+            + '\n[gauges.top]\nrole = "response"\namplitude_mm = 9.0\nsd_amplitude_mm = 0.01\n'
+            + '\n[gauges.silent]\nrole = "table"\nreason = "silent"\n'
+        )
+    found = compare(first, second)
+    assert found["changed"] is False
+    assert found["explained_by"] == []
