@@ -196,6 +196,8 @@ class LampSection(TomlSection):
     """Time from dark to full brightness and back."""
     ambient: Annotated[float, Field(ge=0, le=20, strict=True)] = 0.0
     """Light that is on whenever a shutter is open, in parts of the lamp's full brightness."""
+    sd_ambient: Annotated[float, Field(ge=0, le=20, strict=True)] | None = None
+    """Standard deviation of `ambient`; by default a tenth of it and 0.02."""
     levels: Annotated[int, Field(ge=2, le=256, strict=True)] = 2
     """How many levels the lamp can show: 2 where it only switches, 256 with PWM of 8 bits."""
     margin_s: Annotated[float, Field(ge=0, le=1, strict=True)] = 0.02

@@ -243,8 +243,9 @@ def _timing_derivatives(
     if light is not None and light.sd_phase_rad > 0:
         ends = [replace(window, light=replace(light, phase_rad=light.phase_rad + step)) for step in (_STEP, -_STEP)]
         varied.append((light.sd_phase_rad, ends[0], ends[1]))
-    if light is not None and light.sd_ambient > 0 and light.ambient > _STEP:
-        ends = [replace(window, light=replace(light, ambient=light.ambient + step)) for step in (_STEP, -_STEP)]
+    if light is not None and light.sd_ambient > 0:
+        least = max(light.ambient - _STEP, 0.0)  # there is no less than none
+        ends = [replace(window, light=replace(light, ambient=value)) for value in (least + 2 * _STEP, least)]
         varied.append((light.sd_ambient, ends[0], ends[1]))
     found: list[ComplexArray] = []
     for _, after, before in varied:

@@ -169,7 +169,7 @@ def _precision(
     cycles = round(shots[0].exposure_s * frequency_hz, 2)
     rise_rad = round(2 * math.pi * frequency_hz * lamp.rise_s, 5)
     radius_px = _two_figures(scale.dot_mm / 2 * scale.px_per_mm)
-    group = (lights, cycles, lamp.ambient, rise_rad, radius_px)
+    group = (lights, cycles, (lamp.ambient, lamp.assumed_sd_ambient), rise_rad, radius_px)
     median, worst, amplitude = _predicted(*group, amplitude_px)
     here = _twin_distance(*group, amplitude_px)
     larger = here if amplitude_px >= TWIN_PX else _twin_distance(*group, TWIN_PX)
@@ -183,7 +183,7 @@ def _precision(
 def _predicted(
     lights: tuple[LightRequest, ...],
     cycles: float,
-    ambient: float,
+    ambient: tuple[float, float],
     rise_rad: float,
     radius_px: float,
     amplitude_px: float,
@@ -207,7 +207,7 @@ def _predicted(
 def _twin_distance(
     lights: tuple[LightRequest, ...],
     cycles: float,
-    ambient: float,
+    ambient: tuple[float, float],
     rise_rad: float,
     radius_px: float,
     amplitude_px: float,
@@ -218,13 +218,15 @@ def _twin_distance(
     return nearest_twin(_windows(lights, cycles, ambient, rise_rad), amplitude_px, dot).distance_sd
 
 
-def _windows(lights: tuple[LightRequest, ...], cycles: float, ambient: float, rise_rad: float) -> list[ExposureWindow]:
+def _windows(
+    lights: tuple[LightRequest, ...], cycles: float, ambient: tuple[float, float], rise_rad: float
+) -> list[ExposureWindow]:
+    """The captures' windows; `ambient` is its share and the standard deviation of that."""
     from labdaemon.blur import ExposureWindow, LightCode
 
-    return [
-        ExposureWindow(1.0, cycles, light=LightCode(one.brightness, one.phase_rad, one.cycles, ambient, rise_rad))
-        for one in lights
-    ]
+    share, sd = ambient
+    codes = [LightCode(one.brightness, one.phase_rad, one.cycles, share, rise_rad, sd_ambient=sd) for one in lights]
+    return [ExposureWindow(1.0, cycles, light=code) for code in codes]
 
 
 def _notes(lit: LitExcitation, lamp: Lamp, shots: tuple[Shot, ...], precision: LightPrecision) -> tuple[str, ...]:

@@ -75,6 +75,8 @@ class Lamp:
         Part of an exposure in which not all shutters are open.
     flicker_hz
         Flicker of the ambient light, hertz; None where it does not flicker.
+    sd_ambient
+        Standard deviation of `ambient`, None where it was not stated.
     """
 
     rise_s: float = 0.0
@@ -82,6 +84,12 @@ class Lamp:
     levels: int = 2
     margin_s: float = SHUTTER_MARGIN_S
     flicker_hz: float | None = None
+    sd_ambient: float | None = None
+
+    @property
+    def assumed_sd_ambient(self) -> float:
+        """Standard deviation of the ambient light, as measuring takes it where the rig file does not say it."""
+        return 0.1 * self.ambient + 0.02 if self.sd_ambient is None else self.sd_ambient
 
     def shown(self, brightness: tuple[float, ...]) -> tuple[float, ...]:
         """The same in levels that the lamp can show."""
@@ -98,7 +106,13 @@ class Lamp:
     def record(self, played: PlayedLight) -> LightRecord:
         """A code as it was played by this lamp, for the journal."""
         return LightRecord(
-            played.brightness, played.cycles, played.phase_rad, played.sd_phase_rad, self.ambient, self.rise_s
+            played.brightness,
+            played.cycles,
+            played.phase_rad,
+            played.sd_phase_rad,
+            self.ambient,
+            self.rise_s,
+            self.sd_ambient,
         )
 
 

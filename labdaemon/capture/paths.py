@@ -75,7 +75,7 @@ def capture_toml(capture: CaptureRecord, light: LightRecord | None = None, gauge
         "excitation_amplitude_mm": capture.amplitude_mm,
         "step": None if capture.step == NO_STEP else capture.step,
         "label": capture.label,
-        **(light.capture_keys if light is not None else {}),
+        **(light.file_keys if light is not None else {}),
         "cameras": _camera_phases(capture, phase_rad) or None,
         "gauges": {one.gauge: one.model_dump(exclude={"gauge"}, exclude_none=True) for one in gauges} or None,
     }

@@ -26,6 +26,8 @@ class LightRecord:
         Light that is on whenever the shutter is open, in parts of the lamp's full brightness.
     rise_s
         Time that the lamp takes from dark to full brightness.
+    sd_ambient
+        Standard deviation of `ambient`, None where the rig file does not say it.
     """
 
     brightness: tuple[float, ...]
@@ -34,10 +36,11 @@ class LightRecord:
     sd_phase_rad: float = 0.0
     ambient: float = 0.0
     rise_s: float = 0.0
+    sd_ambient: float | None = None
 
     @property
     def capture_keys(self) -> dict[str, Any]:
-        """Keys of `capture.toml` and of ``capture.completed``."""
+        """Keys of ``capture.completed``, which `capture.toml` has, too."""
         return {
             "light": list(self.brightness),
             "light_phase_rad": wrap_phase(self.phase_rad),
@@ -45,6 +48,12 @@ class LightRecord:
             "ambient": self.ambient,
             "light_rise_s": self.rise_s,
         }
+
+    @property
+    def file_keys(self) -> dict[str, Any]:
+        """Keys of `capture.toml`."""
+        sd = {} if self.sd_ambient is None else {"sd_ambient": self.sd_ambient}
+        return {**self.capture_keys, "sd_light_phase_rad": self.sd_phase_rad, **sd}
 
 
 def keep_light(write: Transaction, campaign: str, capture: str, light: LightRecord) -> None:

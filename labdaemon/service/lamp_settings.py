@@ -44,7 +44,7 @@ def lamp_of(rig: RigConfig) -> Lamp | None:
     if section is None:
         return None
     flicker_hz = None if section.mains_hz is None else 2.0 * section.mains_hz
-    return Lamp(section.rise_s, section.ambient, section.levels, section.margin_s, flicker_hz)
+    return Lamp(section.rise_s, section.ambient, section.levels, section.margin_s, flicker_hz, section.sd_ambient)
 
 
 def image_scale(rig: RigConfig) -> ImageScale:

@@ -88,6 +88,8 @@ def test_a_code_is_played_recorded_and_written(tmp_path: Path) -> None:
         expected = {"light": list(SEVEN), "light_phase_rad": 0.5, "light_cycles": 4, "ambient": 0.1}
         assert {key: written[key] for key in expected} == expected
         assert written["light_rise_s"] == 1e-4
+        assert written["sd_light_phase_rad"] == 2e-4
+        assert "sd_ambient" not in written  # the rig file does not say it
         assert written["phase_rad"] == 0.25  # the opening, too
         [event] = [one for one in context.recorder.journal.events_after(0, 100) if one.kind == "capture.completed"]
         assert event.data["light"] == list(SEVEN)

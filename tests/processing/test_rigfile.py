@@ -41,7 +41,7 @@ def test_several_sizes(tmp_path: Path) -> None:
 
 def test_a_daemon_s_own_sections_and_keys_are_left_alone(tmp_path: Path) -> None:
     more = GOOD.replace("[cameras.left]", '[cameras.left]\ndriver = "ptp"\nserial = "301"\nbackend = "sim"')
-    more += '\n[shaker]\ndriver = "scpi"\n[service]\ndata = "x"\n'
+    more += '\n[shaker]\ndriver = "scpi"\n[lamp]\nrise_s = 1e-4\n[service]\ndata = "x"\n'
     assert list(read_rig(rig(tmp_path, more)).cameras) == ["left"]
 
 
@@ -66,6 +66,8 @@ def test_a_daemon_s_own_sections_and_keys_are_left_alone(tmp_path: Path) -> None
         ("[control]", "[shaker]\nprt = 3\n[control]", r"shaker\.prt: unknown key; did you mean port"),
         ("[control]", "[shaker.limits]\nstrok_mm = 3\n[control]", r"shaker\.limits\.strok_mm.*stroke_mm"),
         ("[control]", '[[gauge]]\ndriver = "line"\nrole = "tabel"\n[control]', r"gauge\[0\]\.role: should be 'table'"),
+        ("[control]", "[lamp]\nambiant = 0.1\n[control]", r"lamp\.ambiant: unknown key; did you mean ambient"),
+        ("[control]", "[lamp]\nlevels = 1\n[control]", r"lamp\.levels: should be greater than or equal to 2, not 1"),
         ("image_size =", "colour = 1\nimage_size =", r"cameras\.left\.colour: unknown key; known keys are"),
         ("image_size =", 'driver = "ptp"\nf_numbr = 8.0\nimage_size =', r"cameras\.left\.f_numbr.*f_number"),
         ("[3872, 2592]", "[3872]", r"cameras\.left\.image_size"),
