@@ -90,8 +90,9 @@ def bind(
     socket.set(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
     socket.set(zmq.BACKLOG, BACKLOG)
     if is_commands:
-        # Of two clients with one identity the newcomer is heard: the other one may be dead without a trace.
-        socket.set(zmq.ROUTER_HANDOVER, 1)
+        # Of two clients with one identity the newcomer is heard: the other one may be dead without a trace. Where roles
+        # differ, one client must not get another's answers by taking its identity, so there the first one stays.
+        socket.set(zmq.ROUTER_HANDOVER, int(policy.access is None))
     else:
         # Each subscription is seen, and each end of one: they are counted.
         socket.set(zmq.XPUB_VERBOSER, 1)

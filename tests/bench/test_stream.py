@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from labdaemon.bench.stream import command as bench
+from labdaemon.bench.stream import joiners
 from labdaemon.bench.stream.hostile import LINES, _most_lines_a_minute
-from labdaemon.bench.stream.options import SECTIONS, section
+from labdaemon.bench.stream.options import SECTIONS, StreamOptions, section
 from labdaemon.bench.stream.publication import publish
 from labdaemon.bench.stream.publisher_child import TARGETS, envelopes
 from labdaemon.bench.world.mutations import message
@@ -63,3 +64,12 @@ def test_hostile_messages_fire_and_stop_nothing() -> None:
     for _ in range(300):
         assert b'"method": "capture"' not in message(source)[-1]
     assert not [line for line in LINES if b"TRIG" in line or b"STOP" in line]
+
+
+def test_late_joiners_in_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, few in {"JOINERS": 6, "RESTARTS": 1, "HISTORY_HOURS": 1, "CAPTURE_EACH_S": 1200}.items():
+        monkeypatch.setattr(joiners, name, few)
+    joined, back, replayed, stopped = joiners.rows(StreamOptions(subscribers=2))
+    assert joined.result == "0 gaps"
+    assert (back.tries, replayed.tries) == (1, 12)
+    assert stopped.what.startswith("stop")

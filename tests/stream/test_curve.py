@@ -142,6 +142,26 @@ def test_many_messages_are_no_message_without_end(guarded: StreamDaemon, keys: F
     assert refusals(guarded.server) == 0
 
 
+def test_no_client_gets_the_answers_of_another_by_its_identity(
+    guarded: StreamDaemon, keys: FakeKeys, sockets: SocketMaker
+) -> None:
+    def ask(socket: zmq.Socket[bytes], number: int) -> None:
+        socket.send_json({"jsonrpc": "2.0", "id": number, "method": "stop"})
+
+    operator, thief = sockets(zmq.DEALER), sockets(zmq.DEALER)
+    for socket in (operator, thief):
+        socket.set(zmq.IDENTITY, b"olga-pc")
+    connect(operator, guarded.commands, keys.operator)
+    ask(operator, 1)
+    assert operator.recv_json()["result"]["rest"] == "shaker"
+    connect(thief, guarded.commands, keys.observer)
+    ask(thief, 2)
+    for number in range(3, 8):
+        ask(operator, number)
+        assert operator.recv_json()["id"] == number
+    assert not thief.poll(200)
+
+
 def refusals(part: object) -> int:
     return part._gate.refusals  # type: ignore[attr-defined, no-any-return]
 

@@ -82,3 +82,48 @@ def test_the_identity_is_taken_out_and_nothing_else_changes(cuts: list[int]):
 def test_any_bytes_are_a_peers_or_refused(data: bytes):
     assert outcome(HELLO + data, [])
     assert outcome(data, [])
+
+
+CURVE_GREETING = (b"\xff" + b"\0" * 8 + b"\x7f\x03\x00CURVE").ljust(GREETING_BYTES, b"\0")
+CURVE_HELLO, CURVE_INITIATE = frame(b"\x05HELLO" + bytes(194), COMMAND), frame(b"\x08INITIATE" + bytes(300), COMMAND)
+ENCRYPTED = {
+    "greeting": (CURVE_GREETING, "peer"),
+    "plain": (HELLO, "a peer without a key"),
+    "half a greeting": (CURVE_GREETING[:14], "peer"),
+    "hello alone": (CURVE_GREETING + CURVE_HELLO, "peer"),
+    "ready": (CURVE_GREETING + CURVE_HELLO + CURVE_INITIATE, "ready"),
+    "no hello": (CURVE_GREETING + CURVE_INITIATE, "no handshake of a peer with a key"),
+    "hello twice": (CURVE_GREETING + CURVE_HELLO * 2, "no handshake of a peer with a key"),
+    "plain ready": (CURVE_GREETING + READY, "no handshake of a peer with a key"),
+    "long hello": (CURVE_GREETING + frame(b"\x05HELLO" + bytes(5000), COMMAND), "a frame of more than 4096 bytes"),
+    "full frame": (CURVE_GREETING + CURVE_HELLO + CURVE_INITIATE + frame(bytes(1033)), "ready"),
+    "long frame": (
+        CURVE_GREETING + CURVE_HELLO + CURVE_INITIATE + frame(bytes(1034)), "a frame of more than 1033 bytes"
+    ),
+    "many frames": (CURVE_GREETING + CURVE_HELLO + CURVE_INITIATE + frame(b"\x01abc") * 300, "ready"),
+}  # fmt: skip
+
+
+def encrypted_outcome(data: bytes, cuts: list[int]) -> str:
+    inspector = PeerInspector(LIMITS, is_encrypted=True)
+    passed = b""
+    try:
+        for begin, end in zip([0, *cuts], [*cuts, len(data)], strict=True):
+            passed += inspector.feed(data[begin:end])
+    except PeerRefusal as exc:
+        return str(exc)
+    assert passed == data  # nothing of it can be changed
+    return "ready" if inspector.is_ready else "peer" if inspector.is_peer else "unknown"
+
+
+@given(st.sampled_from(sorted(ENCRYPTED)), st.data())
+def test_encrypted_peers_are_known_by_their_handshake(name: str, data: st.DataObject):
+    sent, expected = ENCRYPTED[name]
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(sent)), max_size=6)))
+    assert encrypted_outcome(sent, cuts) == expected
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_are_an_encrypted_peers_or_refused(data: bytes):
+    assert encrypted_outcome(CURVE_GREETING + CURVE_HELLO + data, [])
+    assert encrypted_outcome(data, [])
