@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from labdaemon.errors import ConfigError
+from labdaemon.rig_sections import GatewaySection
 from labdaemon.service.doors import open_doors
 from labdaemon.service_section import ServiceSection, keys_folder, read_service
 from labdaemon.stream.access import CLIENTS
@@ -18,8 +19,8 @@ from labdaemon.testing.stream_daemon import FakeKeys
 class Rig:
     """What of a rig's config is looked at."""
 
-    def __init__(self, folder: Path, **service: object) -> None:
-        self.source = folder / "rig.toml"
+    def __init__(self, folder: Path, gateway: GatewaySection | None = None, **service: object) -> None:
+        self.source, self.gateway = folder / "rig.toml", gateway
         self.service = ServiceSection.model_validate(service)
 
 
@@ -57,6 +58,17 @@ def test_keys_are_asked_for_where_the_address_needs_them(tmp_path: Path) -> None
     assert doors.events.access is None
     doors = open_doors(Rig(tmp_path, local_operators="keys"))  # type: ignore[arg-type]
     assert doors.commands.access is doors.events.access is doors.access is not None
+
+
+@pytest.mark.parametrize("operators", ["keys", "owner", "group:lab"])
+def test_the_text_gateway_is_no_way_around_the_policy(tmp_path: Path, operators: str) -> None:
+    FakeKeys(tmp_path / "keys")
+    service = {"commands": "ipc:///run/c", "events": "ipc:///run/e", "local_operators": operators}
+    with pytest.raises(ConfigError, match="everyone on this machine") as refused:
+        open_doors(Rig(tmp_path, GatewaySection(), **service))  # type: ignore[arg-type]
+    assert refused.value.key == "gateway.token_file"
+    open_doors(Rig(tmp_path, GatewaySection(token_file="token"), **service))  # type: ignore[arg-type]
+    open_doors(Rig(tmp_path, GatewaySection(), local_operators="all"))  # type: ignore[arg-type]
 
 
 def test_on_loopback_no_keys_are_made(tmp_path: Path) -> None:
