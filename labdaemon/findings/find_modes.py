@@ -159,6 +159,8 @@ class _Search:
         """Poles that are worth a fit, and why there are no more."""
         poles: tuple[PoleCandidate, ...] = ()
         while len(poles) < most:
+            if poles and self.is_noise_known and self._scan_explains(poles):
+                return poles, ["no further mode is significant"]
             candidate = self.scan.best(*self.band, poles)
             where = f"a mode near {candidate.frequency_hz:.4g} Hz"
             rest, freedom = self.scan.rest((*poles, candidate))
@@ -178,6 +180,11 @@ class _Search:
                 ]
             poles = self.scan.refine_all((*poles, candidate), *self.band)
         return poles, [f"{most} modes are as many as were asked for"]
+
+    def _scan_explains(self, poles: tuple[PoleCandidate, ...]) -> bool:
+        """Whether these poles leave no more than noise in what is scanned."""
+        rest, freedom = self.scan.rest(poles)
+        return freedom <= 0 or bool(stats.chi2.sf(rest, freedom) > SIGNIFICANCE)
 
     def _fit(self, poles: tuple[PoleCandidate, ...]) -> ModalFit:
         frequency = np.array([one.frequency_hz for one in poles])
