@@ -48,7 +48,8 @@ OPENINGS: tuple[tuple[float, ...], ...] = (
 CODES: tuple[str | tuple[str, ...], ...] = ("1110100", ("cos", "sin"))
 """Light codes that are tried where the rig has a lamp."""
 MOTION_PHASES = tuple(math.pi / 12 + k * math.pi / 6 for k in range(6))
-"""Phases of the motion over which the bound is averaged; over half a turn, since a motion's opposite is known alike."""
+"""Phases of the motion over which the bound is averaged: over half a turn, a motion and its opposite being known equally
+well."""
 LEAST_WHITE = 0.2
 """Paper darker than this part of what the campaign's own exposure gives is not tried."""
 MOST_WHITE = 1.25
@@ -307,7 +308,7 @@ class DesignSearch:
             origin_rad, plain = window.phase_rad, replace(window, phase_rad=0.0)
         else:
             origin_rad, plain = -phase_rad, ExposureWindow(1.0, 1.0)
-        # A motion and its opposite are known alike.
+        # A motion and its opposite are known equally well.
         seen_rad = round((phase_rad + origin_rad) % math.pi, 3)
         brightness = round(window.exposure_s / nominal_s, 3)
         timing = (round(plain.cycles, 4), plain.light, plain.sd_phase_rad)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from labdaemon.capture.abilities import GaugeRecord, RecordSource
 from labdaemon.capture.devices import Gauge
-from labdaemon.capture.rig import OBSERVE_S, DeviceHandle, Rig
+from labdaemon.capture.rig import DeviceHandle, Rig
 from labdaemon.clock import Clock
 from labdaemon.errors import DeviceError, LabdaemonError
 from labdaemon.events import GaugeMotion
@@ -26,6 +26,8 @@ LEAST_CYCLES = 4.0
 SEARCH_S = 4.0
 """Least length of a record in which an unknown frequency is searched for."""
 LONGEST_S = 60.0
+READ_S = 2.0
+"""Longest wait for a record once its window has passed: frames are fetched meanwhile."""
 CLOCK_SD = 1e-3
 """Relative standard deviation of a gauge's clock against the excitation's frequency."""
 
@@ -84,7 +86,7 @@ async def _read(gauge: DeviceHandle[Gauge], window: RecordWindow) -> GaugeReport
     source: RecordSource = driver
     try:
         record = await gauge.observe(
-            lambda _: source.record(start_s=window.start_s, duration_s=window.duration_s), OBSERVE_S
+            lambda _: source.record(start_s=window.start_s, duration_s=window.duration_s), READ_S
         )
     except LabdaemonError as exc:
         log.warning("gauge %s was not recorded: %s", driver.name, exc)
@@ -166,7 +168,14 @@ def _numbers(fit: PeriodicFit, report: GaugeReport, opening: CaptureRecord | Non
     if is_displacement:
         numbers |= {"offset_mm": fit.offset, "sd_offset_mm": fit.sd_offset}
         numbers |= {"drift_mm_s": fit.drift_per_s, "sd_drift_mm_s": fit.sd_drift_per_s, "noise_mm": fit.noise}
-    return {key: float(f"{value:.9g}") if isinstance(value, float) else value for key, value in numbers.items()}
+    return {key: _rounded(value) for key, value in numbers.items()}
+
+
+def _rounded(value: float | None) -> float | None:
+    """Nine significant digits; None for what is no finite number, which JSON has no word for."""
+    if value is None or isinstance(value, int):
+        return value
+    return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
 def _excitation_phase(
@@ -177,7 +186,7 @@ def _excitation_phase(
         return None, None
     timing_rad = 2.0 * math.pi * fit.frequency_hz * report.record.sd_t_s
     sd_rad = math.hypot(fit.sd_phase_rad or 0.0, timing_rad, opening.sd_phase_rad or 0.0)
-    if sd_rad > 1.0:
+    if not sd_rad <= 1.0:
         return None, None
     own = fit.phase_rad if report.unit == "mm" else fit.phase_rad + math.pi
     return math.remainder(own - opening.phase_rad, 2.0 * math.pi), sd_rad
