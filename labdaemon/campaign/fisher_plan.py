@@ -48,8 +48,7 @@ OPENINGS: tuple[tuple[float, ...], ...] = (
 CODES: tuple[str | tuple[str, ...], ...] = ("1110100", ("cos", "sin"))
 """Light codes that are tried where the rig has a lamp."""
 MOTION_PHASES = tuple(math.pi / 12 + k * math.pi / 6 for k in range(6))
-"""Phases of the motion over which the bound is averaged: over half a turn, a motion and its opposite being known equally
-well."""
+"""Phases of the motion over which the bound is averaged, over half a turn: a motion and its opposite are one case."""
 LEAST_WHITE = 0.2
 """Paper darker than this part of what the campaign's own exposure gives is not tried."""
 MOST_WHITE = 1.25
