@@ -47,8 +47,10 @@ OPENINGS: tuple[tuple[float, ...], ...] = (
 """Groups of opening phases that are tried; one opening alone leaves the sign of the motion open."""
 CODES: tuple[str | tuple[str, ...], ...] = ("1110100", ("cos", "sin"))
 """Light codes that are tried where the rig has a lamp."""
-MOTION_PHASES = tuple(math.pi / 12 + k * math.pi / 6 for k in range(6))
+MOTION_PHASES = tuple((k + 0.5) * math.pi / 12 for k in range(12))
 """Phases of the motion over which the bound is averaged, over half a turn: a motion and its opposite are one case."""
+CODED_MOTION_PHASES = tuple((k + 0.5) * math.pi / 24 for k in range(24))
+"""The same under a light code, of which the bound has narrow peaks."""
 LEAST_WHITE = 0.2
 """Paper darker than this part of what the campaign's own exposure gives is not tried."""
 MOST_WHITE = 1.25
@@ -234,9 +236,9 @@ class DesignSearch:
         for exposure_s in steps_s:
             ratio = exposure_s / phase.exposure_s
             if LEAST_WHITE <= ratio <= MOST_WHITE:
-                if self._goal == "amplitude":
+                if self._goal == "amplitude":  # whole cycles: knowing the phase as well adds nothing to it
                     yield phase.model_copy(update={**plain, "exposure_s": exposure_s})
-                for openings in OPENINGS if self._goal == "phase" else OPENINGS[:1]:
+                for openings in OPENINGS if self._goal == "phase" else ():
                     rounded = tuple(round(one, 4) for one in openings)
                     yield phase.model_copy(update={**plain, "exposure_s": exposure_s, "phase_rad": rounded})
             # A lamp that is dark for part of the cycle leaves room for a longer exposure.
@@ -281,7 +283,7 @@ class DesignSearch:
         for amplitude_mm in expected.amplitudes_mm:
             amplitude_px = amplitude_mm * expected.scale.px_per_mm
             squares = []
-            for phase_rad in MOTION_PHASES:
+            for phase_rad in CODED_MOTION_PHASES if any(one.light for one in windows) else MOTION_PHASES:
                 information = sum(
                     (self._information(window, amplitude_px, phase_rad, nominal_s) for window in windows),
                     np.zeros((4, 4)),

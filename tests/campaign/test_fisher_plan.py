@@ -32,7 +32,7 @@ from labdaemon.errors import LimitError
 
 LIMITS = ShakerLimits(150.0, 1000.0, 20_000.0, (0.5, 50.0))
 QUIET = DotImage(noise=NoiseModel(0.8, 0.12))
-SMALL = ImageScale(2.0, 5.0)
+SMALL = ImageScale(1.6, 5.0)
 
 
 def rig(lamp: Lamp | None = None) -> PlanRig:
@@ -60,6 +60,11 @@ def by_openings() -> tuple[StepDesign, Expectation]:
     return search("phase", PHASES)
 
 
+@pytest.fixture(scope="module")
+def with_lamp() -> StepDesign:
+    return search("phase", PHASES, Lamp(levels=2))[0]
+
+
 @pytest.mark.parametrize("which", ["own", "best"])
 def test_the_prediction_is_that_of_predict_sd(by_openings: tuple[StepDesign, Expectation], which: str) -> None:
     design, expected = by_openings
@@ -79,16 +84,18 @@ def test_few_cycles_show_the_phase_better_than_many(by_openings: tuple[StepDesig
     assert design.best_precision.seconds <= 1.3 * design.own_precision.seconds
 
 
-def test_the_paper_stays_between_dark_and_white_level(by_openings: tuple[StepDesign, Expectation]) -> None:
-    lit, _ = search("phase", PHASES, Lamp(levels=2))
-    for design in (by_openings[0], lit):
+def test_the_paper_stays_between_dark_and_white_level(
+    by_openings: tuple[StepDesign, Expectation], with_lamp: StepDesign
+) -> None:
+    for design in (by_openings[0], with_lamp):
         for window in design.best.windows:
             assert LEAST_WHITE <= window.exposure_s * light_fraction(window) <= MOST_WHITE
 
 
-def test_a_lamp_is_used_where_it_knows_more_and_only_where_there_is_one() -> None:
-    without, _ = search("phase", PHASES)
-    with_lamp, _ = search("phase", PHASES, Lamp(levels=2))
+def test_a_lamp_is_used_where_it_knows_more_and_only_where_there_is_one(
+    by_openings: tuple[StepDesign, Expectation], with_lamp: StepDesign
+) -> None:
+    without, _ = by_openings
     assert without.best.phase.light is None
     assert with_lamp.best.phase.light == "1110100"
     assert with_lamp.best.phase.phase_rad is None
@@ -105,10 +112,10 @@ def test_for_the_amplitude_alone_whole_cycles_need_no_phase() -> None:
 
 
 def test_repeated_groups_fill_the_campaigns_time() -> None:
-    design, _ = search("phase", PHASES + "captures = 4\n")
+    design, _ = search("amplitude", "captures = 4\n")
     assert design.own_groups == 4
     assert design.own_precision.seconds == pytest.approx(4 * design.own.precision.seconds)
-    assert design.own_precision.sd_phase_rad == pytest.approx(design.own.precision.sd_phase_rad / 2)
+    assert design.own_precision.sd_amplitude_mm == pytest.approx(design.own.precision.sd_amplitude_mm / 2)
     spare = design.own_precision.seconds - design.best_precision.seconds
     assert 0 <= spare < design.best.precision.seconds
 
