@@ -41,7 +41,7 @@ class ResonanceGoal:
     band_hz: tuple[float, float]
     sd_frequency: float = 2e-5
     sd_damping: float = 0.008
-    most_steps: int = 120
+    most_steps: int = 160
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -47,8 +47,8 @@ class Modification:
 
 MODIFICATIONS = {
     "none": Modification(),
-    "mass": Modification(mass_kg=0.2),
-    "thinned": Modification(mass_kg=0.2, member_loss=0.5),
+    "mass": Modification(mass_kg=0.05),
+    "thinned": Modification(mass_kg=0.05, member_loss=0.5),
     "thinned-only": Modification(member_loss=0.5),
 }
 """By name: the paper's first modification, its second (in addition to the first), and the second alone."""
