@@ -13,7 +13,7 @@ from labdaemon.errors import DataError
 from labdaemon.findings import PhaseReference, find_modes
 from labdaemon.findings.common_scale import CommonChange
 from labdaemon.findings.comparison import Comparison, Difference, as_json, compare_states, with_notes
-from labdaemon.findings.deflection import compare_deflections, masked_directions
+from labdaemon.findings.deflection import common_steps, compare_deflections, masked_directions
 from labdaemon.findings.modal_state import ModalState, state_of
 from labdaemon.findings.similarity import Similarity, fit_similarity
 
@@ -71,8 +71,10 @@ def compare_campaigns(
             same_scale=same_scale,
             free_target_signs=PhaseReference.TARGET in (first.series.phase, second.series.phase),
         )
-        found = replace(found, explained_by=(*explained, *found.explained_by))
-        return CampaignComparison(with_notes(found, notes), "modes")
+        if found.modes or not common_steps(first.series, second.series):
+            found = replace(found, explained_by=(*explained, *found.explained_by))
+            return CampaignComparison(with_notes(found, notes), "modes")
+        notes += found.notes  # no mode of one state is one of the other: their envelopes can still be compared
     return CampaignComparison(with_notes(_deflections(first, second, explained), notes), "deflections")
 
 

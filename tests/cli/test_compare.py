@@ -218,3 +218,11 @@ def test_a_gauge_on_the_table_is_believed(campaign: Callable[..., Path]) -> None
     found = compare(first, second)
     assert found["changed"] is False
     assert found["explained_by"] == []
+
+
+def test_modes_that_all_moved_far_leave_the_envelopes(campaign: Callable[..., Path]) -> None:
+    """No mode is within reach of one of the baseline, but all frequencies of the sweep are common."""
+    band = np.geomspace(4.0, 8.0, 18)
+    soft = replace(STRUCTURE.scaled(stiffness=1.9), mass_kg=(0.9, 0.4, 0.5, 0.3))
+    found = compare(campaign("a", frequency=band), campaign("b", soft, frequency=band, seed=2))
+    assert found["changed"] is True
