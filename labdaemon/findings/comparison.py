@@ -96,7 +96,7 @@ class Comparison:
     modes
         Pairs of modes.
     storeys
-        Explanations that cannot be told apart, the best first; empty where nothing changed or no storeys are known.
+        Explanations that cannot be separated, the best first; empty where nothing changed or no storeys are known.
     model
         The shear frame of the baseline, None where there is none.
     notes
@@ -219,7 +219,7 @@ def _findings(test: MaxTest, labels: list[Label], storeys: list[Explanation]) ->
             continue  # something changed, but no storey
         text = f"{one.kind} of {one.where} changed by {100 * one.change:+.2f} ± {100 * one.sd:.2f} %"
         if len(storeys) > 1:
-            text += f", or another of {len(storeys)} that cannot be told apart"
+            text += f", or another of {len(storeys)} that cannot be separated"
         found.append(Difference(one.kind, one.where, z, text))
     single = [
         Difference(what, where, float(z), f"{what} of {where} differs by {z:+.1f} of its standard deviations")

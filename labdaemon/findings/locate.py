@@ -19,7 +19,7 @@ from labdaemon.findings.shear_frame import (
 )
 
 INSEPARABLE_CHI2 = 4.0
-"""Explanations whose χ² exceeds the best one's by less cannot be told from it (95 % of a normal number, rounded up)."""
+"""Explanations whose χ² exceeds the best one's by less cannot be separated from it (95 % of a normal number, rounded up)."""
 MOST_LEVELS = 12
 OWN_SHARE = 1e-6
 """Part of a change's information that must be left after the common changes; less is rounding."""
@@ -189,7 +189,7 @@ def explained_share(found: list[Explanation], common: CommonFit) -> float:
 
 
 def inseparable(found: list[Explanation]) -> list[Explanation]:
-    """The best explanation and those that cannot be told from it."""
+    """The best explanation and those that cannot be separated from it."""
     return [one for one in found if one.chi2 <= found[0].chi2 + INSEPARABLE_CHI2]
 
 
