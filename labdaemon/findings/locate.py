@@ -19,7 +19,7 @@ from labdaemon.findings.shear_frame import (
 )
 
 INSEPARABLE_CHI2 = 4.0
-"""Explanations whose χ² exceeds the best one's by less cannot be separated from it (95 % of a normal number, rounded up)."""
+"""Explanations whose χ² exceeds the best one's by less cannot be separated from it (95 % of a normal number: 3.84)."""
 MOST_LEVELS = 12
 OWN_SHARE = 1e-6
 """Part of a change's information that must be left after the common changes; less is rounding."""
