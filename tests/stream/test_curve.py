@@ -58,11 +58,11 @@ def stranger(request: pytest.FixtureRequest, keys: FakeKeys) -> KeyPair | None:
 
 
 def test_strangers_get_nothing(guarded: StreamDaemon, keys: FakeKeys, stranger: KeyPair | None) -> None:
-    with client(guarded, stranger, timeout_s=0.7) as lab:
+    with client(guarded, stranger, timeout_s=0.4) as lab:
         heard = lab.subscribe()
         with pytest.raises(NoDaemon):
             lab.call("status")
-        assert not heard.poll(300)
+        assert not heard.poll(50)
     with client(guarded, keys.operator) as lab:  # who is listed is served all the same
         assert lab.call("status")["state"] == "idle"
     assert [method for method, _ in guarded.asked] == ["status"]
@@ -70,7 +70,7 @@ def test_strangers_get_nothing(guarded: StreamDaemon, keys: FakeKeys, stranger: 
 
 def test_a_revocation_ends_what_is_connected(guarded: StreamDaemon, keys: FakeKeys) -> None:
     with client(guarded, keys.operator) as lost, client(guarded, keys.observer) as kept:
-        streams = [lost.events(timeout_s=1.5), kept.events(timeout_s=20)]
+        streams = [lost.events(timeout_s=1.2), kept.events(timeout_s=20)]
         assert [next(stream)["kind"] for stream in streams] == ["status", "status"]
         lost.call("status")
         remove_client(keys.folder / CLIENTS, "olga")
@@ -79,7 +79,7 @@ def test_a_revocation_ends_what_is_connected(guarded: StreamDaemon, keys: FakeKe
         with pytest.raises(NoDaemon):
             next(event for event in streams[0] if event["kind"] == "fault")
         assert next(event for event in streams[1] if event["kind"] == "fault")
-        lost.timeout_s = 0.5
+        lost.timeout_s = 0.3
         with pytest.raises(NoDaemon):
             lost.call("status")
         assert kept.call("status")["state"] == "idle"
