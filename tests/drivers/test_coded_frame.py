@@ -13,6 +13,7 @@ import pytest
 import labdaemon as ld
 from labdaemon.blur import ExposureWindow, LightCode
 from labdaemon.capture.lamp import LightRequest
+from labdaemon.flags import Flag
 from labdrivers.ptp.camera import PtpCamera
 from labdrivers.ptp.codes import Prop
 from labdrivers.sim.assembly import SimulatedRig, set_default_rig
@@ -23,8 +24,8 @@ SEVEN = (1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
 LAMP = LampSpec(rise_s=1e-3, ambient=0.1)
 
 
-@pytest.fixture
-def rig(tmp_path: Path) -> Iterator[SimulatedRig]:
+@pytest.fixture(params=[True, False], ids=["wired", "not wired"])
+def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[SimulatedRig]:
     """A table without modes, so that nothing rings; one camera that sees a few dots."""
     left = RigSpec().cameras["left"]
     near = replace(
@@ -34,7 +35,9 @@ def rig(tmp_path: Path) -> Iterator[SimulatedRig]:
         principal_point_px=(130.0, 180.0),
         distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
     )
-    spec = RigSpec(cameras={"left": near}, modes=(), lamp=LAMP, white_dn=2900.0, at_s=0.5)
+    spec = RigSpec(
+        cameras={"left": near}, modes=(), lamp=replace(LAMP, is_wired=request.param), white_dn=2900.0, at_s=0.5
+    )
     found = SimulatedRig(spec, cards=tmp_path / "cards", enable_wired=False)
     for usb_camera in found.bus.cameras.values():
         usb_camera.body.settings.set(Prop.EXPOSURE_TIME, 5000)
@@ -75,6 +78,12 @@ def test_one_frame_of_coded_light_gives_amplitude_and_phase(
     truth = rig.rig.records[-1]["targets"]["R06"]
     expected = complex(truth["ax_mm"], truth["bx_mm"])
     assert abs(expected) == pytest.approx(2.0, rel=0.02)
+    if not rig.rig.spec.lamp.is_wired:
+        # The box has played, and the lamp was on all the time: the frame shows constant light.
+        camera.close()
+        trigger.close()
+        assert all(Flag.LIGHT_MISMATCH in one.flags for one in motion)
+        return
     found = [one for one in motion if not one.flags]
     assert len(found) >= 2
     for one in found:
