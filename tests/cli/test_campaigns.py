@@ -13,6 +13,8 @@ import pytest
 from labdaemon.cli.error_json import is_asked_for
 from labdaemon.cli.main import main
 from labdaemon.service.presence import PresenceNote, present_daemons
+from labdaemon.stream.listener import SocketFile
+from labdaemon.stream.sockets import DoorPolicy
 from labdaemon.testing.stream_daemon import StreamDaemon
 
 FIRST: dict[str, Any] = {
@@ -134,3 +136,15 @@ def test_a_note_is_gone_with_its_daemon(tmp_path: Path, monkeypatch: pytest.Monk
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setenv("LABDAEMON_LOCKS", str(tmp_path / "none"))
     PresenceNote("tcp://127.0.0.1:1", "rig.toml").remove()
+
+
+def test_commands_reach_a_daemon_over_a_unix_socket(run: Run, tmp_path: Path) -> None:
+    daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
+    daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
+    assert run("stop", "--address", daemon.commands)[0] == 1  # no one listens yet
+    daemon.start()
+    try:
+        assert run("stop", "--address", daemon.commands)[:2] == (0, "the shaker is at rest\n")
+    finally:
+        daemon.stop()
+    assert run("stop", "--address", "ipc://c.sock")[0] == 2
