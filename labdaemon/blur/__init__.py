@@ -33,7 +33,7 @@ from labdaemon.blur.prediction import (
     sd_of_information,
 )
 from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
-from labdaemon.blur.sharp.fit_sharp import fit_sharp
+from labdaemon.blur.sharp.fit_sharp import fit_sharp, unmeasurable_target
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import make_textured_patch
 from labdaemon.blur.smear.defocus import estimate_frame_defocus
@@ -89,4 +89,5 @@ __all__ = [
     "predict_sd",
     "sd_of_information",
     "solved",
+    "unmeasurable_target",
 ]

@@ -70,7 +70,7 @@ def measure_group(
     if any(window.phase_rad is None and not window.is_coded for window in windows):
         raise UsageError("every frame of a group needs its opening phase (phase_rad in capture.toml)")
     if not sharp.usable:
-        return empty_measurement(sharp.name, {Flag.NOT_FOUND})
+        return empty_measurement(sharp.name, {Flag.NOT_FOUND, *sharp.flags})
     if all(window.fraction < MEASURE.whole_cycle_tolerance and not window.is_coded for window in windows):
         return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses, harmonics)
     blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)

@@ -23,6 +23,8 @@ class LabelEdgeSettings:
     """Paper that a blur needs around it, at least, not to reach the end of its label. Trial."""
     largest_ratio: float = 2.5
     """Length of a path, over the guess or the radius, beyond which a failed fit says nothing of the motion. Trial."""
+    least_length: float = 0.5
+    """Length of a path, in radii of the dot, that is possible whatever a failed fit says. Trial."""
     trial_lengths: tuple[float, ...] = (0.3, 0.55, 0.8, 1.05, 1.3, 1.55)
     """Lengths of the paths that are tried where every guess fails, in radii of the dot."""
     trial_directions: int = 8

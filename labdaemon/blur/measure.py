@@ -68,7 +68,7 @@ def measure(
         Numbers are NaN where the target could not be measured; the flags say why.
     """
     if not sharp.usable:
-        return empty_measurement(sharp.name, {Flag.NOT_FOUND})
+        return empty_measurement(sharp.name, {Flag.NOT_FOUND, *sharp.flags})
     expected = np.asarray(initial_guess.centre_px if initial_guess is not None else sharp.centre_px, dtype=np.float64)
     if initial_guess is None and camera_shift_px is not None:
         expected = expected + camera_shift_px

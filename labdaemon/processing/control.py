@@ -10,8 +10,9 @@ import numpy as np
 
 from labdaemon.blur import Dot, FloatArray, Patch, SharpTarget, fit_sharp, make_textured_patch
 from labdaemon.errors import ConfigError, DataError
-from labdaemon.geometry import Lens
+from labdaemon.geometry import Lens, OrientedCamera
 from labdaemon.imaging import BITS, Grey, RawFrame, Ring, Tag, by_name, centre_of, families, find_rings, find_tags
+from labdaemon.processing.survey import SurveyedPoint
 from labdaemon.processing.thumbnails import Thumbnail
 
 TAG_FAMILY = "apriltag-36h11"
@@ -22,6 +23,10 @@ SD_UNFITTED_PX = 0.3
 WIDEST_PX = 56
 """Widest part of a control target that is compared with later frames: enough edges, and quick."""
 RIM_PX = 8  # room for the blur of a tag's edge
+
+
+TAG_SHARE, RING_DOT_SHARE = 0.5, 0.25
+"""Radius around a surveyed centre within which a dot is the control target, in parts of its size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +51,8 @@ class ControlTargets:
         What they look like, to be compared with later frames.
     thumbnails
         The same as small images, to be located in later frames.
+    other_outlines
+        Polygons around coded targets that were read but are not used: not surveyed, or cut by the frame's border.
     """
 
     family: str
@@ -56,6 +63,7 @@ class ControlTargets:
     outlines: tuple[FloatArray, ...] = ()
     sharp: tuple[SharpTarget, ...] = ()
     thumbnails: tuple[Thumbnail, ...] = ()
+    other_outlines: tuple[FloatArray, ...] = ()
 
 
 def check_family(family: str, source: Path) -> None:
@@ -115,8 +123,8 @@ def find_control(
     DataError
         One name is in view twice.
     """
-    seen = _rings(frame, frames, grey, family) if ring_bits(family) else _tags(frame, family, lens)
-    seen = [one for one in seen if known is None or one.name in known]
+    everything = _rings(frame, frames, grey, family) if ring_bits(family) else _tags(frame, family, lens)
+    seen = [one for one in everything if known is None or one.name in known]
     sharp, thumbnails, kept = [], [], []
     for one in seen:
         box = _box(one, frame.size)
@@ -136,7 +144,34 @@ def find_control(
         tuple(one.outline for one in kept),
         tuple(sharp),
         tuple(thumbnails),
+        tuple(one.outline for one in everything if one not in kept),
     )
+
+
+def surveyed_outlines(
+    view: OrientedCamera, points: Sequence[SurveyedPoint], size_mm: float, family: str
+) -> list[FloatArray]:
+    """Polygons around the surveyed control targets as a camera sees them, read or not: nothing there is a target.
+
+    Parameters
+    ----------
+    view
+        The camera.
+    points, size_mm, family
+        The survey, the size of the control targets, and their kind.
+    """
+    places = np.array([(point.x_mm, point.y_mm, point.z_mm) for point in points]).reshape(-1, 3)
+    centres, depth = view.project(places), view.to_camera_axes(places)[:, 2]
+    # The dot of a ring has the surveyed centre itself; a tag is a square about it.
+    share = RING_DOT_SHARE if ring_bits(family) else TAG_SHARE
+    circle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    unit = np.stack((np.cos(circle), np.sin(circle)), axis=1)
+    focal = float(np.mean(view.lens.focal_px))
+    return [
+        centre + share * size_mm * focal / z * unit
+        for centre, z in zip(centres, depth, strict=True)
+        if np.isfinite(centre).all() and z > 0
+    ]
 
 
 def read_control_places(frame: RawFrame, family: str) -> dict[str, FloatArray]:

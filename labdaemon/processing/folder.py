@@ -243,7 +243,7 @@ def open_folder(root: Path) -> DataFolder:
     check_family(rig.control.family, root / "rig.toml")
     control = read_control(root / "control.csv", rig.control.size_mm)
     places = root / "targets.csv"
-    return DataFolder(root, rig, control, read_targets(places, control) if places.exists() else ())
+    return DataFolder(root, rig, control, read_targets(places, control, rig.control.size_mm) if places.exists() else ())
 
 
 def check_frequencies(folder: DataFolder, captures: Sequence[str], group: str) -> None:

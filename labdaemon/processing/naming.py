@@ -46,6 +46,19 @@ def keep_names(places_mm: FloatArray, known_mm: FloatArray, known: tuple[str, ..
     return names
 
 
+def other_names(names: list[str], taken: set[str]) -> list[str]:
+    """The names, with new numbers in place of those that are taken (by control targets)."""
+    result, number = list(names), 0
+    used = set(names) | taken
+    for index, name in enumerate(names):
+        if name in taken:
+            while f"T{number:02d}" in used:
+                number += 1
+            result[index] = f"T{number:02d}"
+            used.add(result[index])
+    return result
+
+
 def match_places(camera: DetectedDots, places_mm: FloatArray) -> NDArray[np.intp]:
     """Match a camera's dots to approximate places.
 

@@ -8,12 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.blur import TEXTURE_MAP, Dot, FloatArray, Patch, SharpTarget, fit_sharp, make_textured_patch, solved
+from labdaemon.blur import (
+    TEXTURE_MAP,
+    Dot,
+    FloatArray,
+    Patch,
+    SharpTarget,
+    fit_sharp,
+    make_textured_patch,
+    solved,
+    unmeasurable_target,
+)
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry import Lens, Orientation, OrientedCamera, orient
 from labdaemon.imaging import RawFrame, find_dots, mean_frame, read_frame
-from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control
+from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control, surveyed_outlines
 from labdaemon.processing.naming import names_in_image
 from labdaemon.processing.survey import SurveyedPoint
 from labdaemon.processing.target_search import ExpectedTarget, measure_contrast
@@ -162,19 +172,22 @@ def prepare_frames(
         _check_control_count(control, survey, file, frame)
         orientation = _orient(control, survey, file)
         sizes = _expected_diameters_px(orientation.camera, survey)
-    dots = find_dots(grey, diameter_range_px=sizes, exclude=control.outlines)
+    taken = [*control.outlines, *control.other_outlines]
+    if survey is not None and orientation is not None:
+        taken += surveyed_outlines(orientation.camera, survey.control, survey.size_mm, survey.family)
+    dots = find_dots(grey, diameter_range_px=sizes, exclude=taken)
     if not dots and sizes != ORDINARY_PX:
-        dots = find_dots(grey, exclude=control.outlines)  # of other sizes than the rig file says: for a better message
+        dots = find_dots(grey, exclude=taken)  # of other sizes than the rig file says: for a better message
     if not dots:
         cause = f"; {frame.notes[0]}" if frame.notes else ""
         raise DataError(
             f"no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed{cause}",
             file=file,
         )
-    fitted = [(dot, solved(_fit)(dot, frames)) for dot in dots]
-    usable = _flag_blurred_set([(dot, target) for dot, target in fitted if target is not None and target.usable])
-    if not usable:
+    fitted = [(dot, _fit_or_flag(dot, frames)) for dot in dots]
+    if not any(target.usable for _, target in fitted):
         raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
+    usable = _flag_blurred_set(fitted)
     plain = [ExpectedTarget(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
     contrast = measure_contrast(frame.lazy_grey(), plain)
     return PreparedCamera(
@@ -241,6 +254,14 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
         thumbnails=thumbnails,
         notes=frame.notes,
     )
+
+
+def _fit_or_flag(dot: Dot, frames: Sequence[RawFrame]) -> SharpTarget:
+    """The dot's fit; where that has no solution a target at its place that only says so, for its row in the results."""
+    target = solved(_fit)(dot, frames)
+    if target is not None and target.usable:
+        return target
+    return unmeasurable_target(dot, frozenset() if target is None else target.flags)
 
 
 def _flag_blurred_set(usable: list[tuple[Dot, SharpTarget]]) -> list[tuple[Dot, SharpTarget]]:

@@ -15,7 +15,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry import Lens, Plane, fit_plane
 from labdaemon.processing.correspond import DetectedDots, correspond, intersect_rays
 from labdaemon.processing.folder import DataFolder, SharpFiles, open_folder
-from labdaemon.processing.naming import keep_names, match_places, names_in_space
+from labdaemon.processing.naming import keep_names, match_places, names_in_space, other_names
 from labdaemon.processing.prepare import CameraSurvey, PreparedCamera, prepare_camera
 from labdaemon.processing.stations import detected_dots, excluded, orient_cameras
 from labdaemon.processing.survey import SurveyedPoint
@@ -144,6 +144,7 @@ def assemble(
         names = (
             names_in_space(places) if like is None else keep_names(places, like.places_mm, like.targets, SAME_PLACE_MM)
         )
+        names = other_names(names, {point.name for point in folder.control})
     order = np.argsort(names, kind="stable") if not folder.targets else np.arange(len(names))
     dots, places, sure, names = dots[order], places[order], sure[order], [names[i] for i in order]
     cameras = []

@@ -101,17 +101,43 @@ def read_control(path: Path, size_mm: float) -> tuple[SurveyedPoint, ...]:
     return points
 
 
-def read_targets(path: Path, control: tuple[SurveyedPoint, ...]) -> tuple[TargetPlace, ...]:
+def read_targets(path: Path, control: tuple[SurveyedPoint, ...], size_mm: float = 0.0) -> tuple[TargetPlace, ...]:
     """Read approximate places of the monitoring targets.
+
+    Parameters
+    ----------
+    path
+        CSV with columns name, x_mm, y_mm, z_mm.
+    control
+        The surveyed control targets, none of which is a monitoring target.
+    size_mm
+        Their size: a monitoring target within half of it is the control target itself.
 
     Raises
     ------
     DataError
-        The file is malformed or empty, or lies within a hand's breadth where the control spans much more: metres.
+        The file is malformed or empty, or lies within a hand's breadth where the control spans much more: metres. A
+        target has the name or the place of a control target.
     """
     places = tuple(TargetPlace(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm")))
     if not places:
         raise DataError("names no targets; fill it or remove it", file=path)
+    names = {point.name for point in control}
+    for place in places:
+        if place.name in names:
+            raise DataError(
+                f"{place.name} is a control target of control.csv too; a control target does not move, so give the "
+                "monitoring target another name or remove it here",
+                file=path,
+            )
+        for point in control:
+            away = math.dist((place.x_mm, place.y_mm, place.z_mm), (point.x_mm, point.y_mm, point.z_mm))
+            if away < 0.5 * size_mm:
+                raise DataError(
+                    f"{place.name} lies {away:.3g} mm from control target {point.name}, which is {size_mm:g} mm wide: "
+                    "they are one target; remove it here or in control.csv",
+                    file=path,
+                )
     span = max(abs(value) for p in control for value in (p.x_mm, p.y_mm, p.z_mm))
     reach = max(abs(value) for p in places for value in (p.x_mm, p.y_mm, p.z_mm))
     if len(places) > 1 and 0 < reach < span / 100:

@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from labdaemon.blur import FloatArray
 from labdaemon.imaging import GreyImage, LazyImage
+from labdaemon.processing.few_missing import find_predicted, match_unclaimed, predicted_places, without_found
 from labdaemon.processing.matched_filter import (
     BlurredTarget,
     GreyLike,
@@ -42,6 +43,8 @@ STRAIN = 0.25
 """Largest displacement gradient over the structure."""
 SAMPLE_STEP = 7
 """One pixel in so many rows and columns is sampled for the brightness of an image."""
+UNCLAIMED_FILTERS = 29
+"""Filters by which an unclaimed blurred dot is noticed: rest, and straight motions of up to 1.7 radii."""
 RANDOM_FIELDS = 2000  # draws of three targets: some are right even where most candidates are wrong
 REFITTED_FIELDS = 60  # the best of the draws, since refitting costs more than drawing
 SMEARS_PER_TARGET = 10
@@ -138,8 +141,11 @@ def locate_targets(grey: GreyLike, targets: Sequence[ExpectedTarget]) -> list[Bl
     near = _search_near(small, targets)
     if all(smear is not None for smear in near) and not _losing_claims(near, targets):
         return near
-    wide = _search_everywhere(small, targets)
     unshared = _without_losing_claims(near, targets)
+    few = _search_predicted(small, targets, unshared)
+    if few is not None:
+        return few
+    wide = _search_everywhere(small, targets)
     return wide if _total(wide) > _total(unshared) else unshared
 
 
@@ -160,6 +166,34 @@ def _search_near(small: ReducedImage, targets: Sequence[ExpectedTarget]) -> list
         smear = match_near(small.image, small.scale, target.centre_px, reach, small.shapes(target))
         found.append(smear if smear is not None and is_plausible(smear, target) else None)
     return found
+
+
+def _search_predicted(
+    small: ReducedImage, targets: Sequence[ExpectedTarget], found: Sequence[BlurredTarget | None]
+) -> list[BlurredTarget | None] | None:
+    """What is missing, where the others say that it is; None where a search of the whole frame is needed."""
+    radii = np.array([target.radius_px for target in targets])
+    predicted = predicted_places(np.array([target.centre_px for target in targets]), radii, found)
+    if predicted is None:
+        return None
+
+    def near(index: int, place: FloatArray, reach: float) -> BlurredTarget | None:
+        one = match_near(small.image, small.scale, place, reach, small.shapes(targets[index]))
+        return one if one is not None and is_plausible(one, targets[index]) else None
+
+    def unclaimed(index: int, place: FloatArray, reach: float) -> BlurredTarget | None:
+        # Of the shorter motions: an unclaimed dot resembles one of them enough to be noticed.
+        shapes = small.shapes(targets[index])[:UNCLAIMED_FILTERS]
+        half = int(reach / small.scale) + max(shapes[-1].template.shape)
+        x, y = (int(v) for v in place / small.scale)
+        left, top = max(x - half, 0), max(y - half, 0)
+        window = without_found(
+            small.image[top : y + half + 1, left : x + half + 1], (left, top), small.scale, radii, found
+        )
+        one = match_unclaimed(window, (left, top), small.scale, place, reach, shapes)
+        return one if one is not None and is_plausible(one, targets[index]) else None
+
+    return find_predicted(predicted, radii, found, near, unclaimed)
 
 
 def _losing_claims(found: Sequence[BlurredTarget | None], targets: Sequence[ExpectedTarget]) -> set[int]:

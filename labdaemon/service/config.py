@@ -248,7 +248,7 @@ def _check_files(rig: RigConfig) -> None:
             raise ConfigError(f"{rig.path(written)} is not there", source=rig.source, key=key)
     control = read_control(rig.path(rig.control.file), rig.control.size_mm)
     if rig.targets.file is not None:
-        read_targets(rig.path(rig.targets.file), control)
+        read_targets(rig.path(rig.targets.file), control, rig.control.size_mm)
 
 
 def _check_servers(rig: RigConfig) -> None:

@@ -64,6 +64,9 @@ def measure_on_label(
     if found is not None and is_determined(found, sharp):
         return found
     radius = max(sharp.form.half_size_px)
+    longest = max(_size(_axes(guess)[0]), 0.0 if found is None else _size(found.a_px), LABEL_EDGE.least_length * radius)
+    if outline.nearest_px > radius + 2.0 * longest + LABEL_EDGE.holding_margin_px:
+        return attempt(_masked(outline, patch, guess), guess, True)  # no such path brings the end of the label near
     trials = rank_trials(sharp, outline, patch, [np.asarray(guess.centre_px, dtype=np.float64)])
     better = _first_determined(sharp, outline, patch, [trial for _, trial in trials], attempt)
     if better is not None and is_determined(better, sharp):

@@ -18,7 +18,7 @@ from labdaemon.blur.patch.label_outline import LabelOutline
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.weights import pixel_weights
-from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fast_forward_model import darkness_model
 from labdaemon.blur.smear.fit_problem import FitProblem, rest_spectra
 from labdaemon.blur.spectra import closed_form
 
@@ -76,7 +76,7 @@ class _Score:
 
     def __init__(self, sharp: SharpTarget, outline: LabelOutline, patch: Patch, problem: FitProblem) -> None:
         self._sharp, self._outline, self._patch, self._problem = sharp, outline, patch, problem
-        self._model = fast_forward_model(problem, closed_form.straight_transfer)
+        self._model = darkness_model(problem, closed_form.straight_transfer)
         planes = problem.planes
         self._weight = pixel_weights(sharp, planes)(np.maximum(planes.values, 0.0))
         known = [sharp.contrast.get(int(channel), np.nan) for channel in planes.channel]
@@ -88,7 +88,7 @@ class _Score:
         weight = np.where(split_planes(planes, clear), self._weight, 0.0)
         if np.count_nonzero(weight) < LABEL_EDGE.least_pixels:
             return 0.0
-        dark = self._model(np.concatenate((place, [0.0], np.where(np.abs(a) < 0.1, 0.1, a))))[0]
+        dark = self._model(np.concatenate((place, [0.0], np.where(np.abs(a) < 0.1, 0.1, a))))
         light = solve_illumination(planes, weight, dark)
         ratio = float(np.nanmedian(light[:, 3] / self._contrast))
         if not abs(ratio - 1.0) < LABEL_EDGE.max_contrast_change:

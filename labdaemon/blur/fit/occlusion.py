@@ -24,7 +24,7 @@ from labdaemon.blur.patch.pixels import BoolArray, FloatArray, Patch
 from labdaemon.blur.settings import OCCLUSION
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
 from labdaemon.blur.sharp.weights import nuisance_prior, pixel_weights
-from labdaemon.blur.smear.fast_forward_model import fast_forward_model
+from labdaemon.blur.smear.fast_forward_model import darkness_model, fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem, rest_spectra
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
@@ -92,7 +92,9 @@ def fit_occluded(
     if problem is None:
         return None
     planes = problem.planes
-    best = _fit_consensus(sharp, problem, candidate_centres_px, blur)
+    best = _fit_consensus(sharp, problem, _distinct(candidate_centres_px, sharp), blur)
+    if best is None:
+        return None
     evidence = _compare(
         sharp, planes, best.light, fast_forward_model(problem, closed_form.straight_transfer)(best.p)[0]
     )
@@ -142,17 +144,20 @@ def _prepare_neighbourhood(
 
 def _fit_consensus(
     sharp: SharpTarget, problem: FitProblem, candidate_centres_px: list[FloatArray], blur: Defocus
-) -> Solution:
-    """The straight motion that most pixels agree with."""
+) -> Solution | None:
+    """The straight motion that most pixels agree with; None where none agrees better than bare paper."""
     planes = problem.planes
     k = problem.shape_count
     model, base = fast_forward_model(problem, closed_form.straight_transfer), pixel_weights(sharp, planes)
-    light = _paper_illumination(sharp, planes)
+    light, darkness = _paper_illumination(sharp, planes), darkness_model(problem, closed_form.straight_transfer)
 
-    def disagreement(p: FloatArray, light: FloatArray, sigmas: float) -> float:
-        signal = render_illumination(planes, light, model(p)[0])
+    def cost(dark: FloatArray, light: FloatArray, sigmas: float) -> float:
+        signal = render_illumination(planes, light, dark)
         squared = base(np.maximum(signal, 0)) * (planes.values - signal) ** 2
         return float(np.minimum(squared, sigmas**2).sum())
+
+    def disagreement(p: FloatArray, light: FloatArray, sigmas: float) -> float:
+        return cost(darkness(p), light, sigmas)
 
     radius = float(np.sqrt(np.prod(sharp.form.half_size_px)))
     tried = [
@@ -160,7 +165,11 @@ def _fit_consensus(
         for place in candidate_centres_px
         for a in _trial_motions(radius)
     ]
-    tried.sort(key=lambda p: disagreement(p, light, OCCLUSION.ranking_limit))
+    costs = [disagreement(p, light, OCCLUSION.ranking_limit) for p in tried]
+    gain = cost(np.zeros_like(darkness(tried[0])), light, OCCLUSION.ranking_limit) - min(costs)
+    if gain < OCCLUSION.least_gain * np.pi * radius**2 * OCCLUSION.ranking_limit**2:
+        return None  # nothing of the target shows
+    tried = [tried[index] for index in np.argsort(costs, kind="stable")]
     near = [
         p + np.concatenate((d, np.zeros(len(p) - 2)))
         for p in tried[: OCCLUSION.fitted_motions]
@@ -180,6 +189,16 @@ def _fit_consensus(
             best, least = found, remains
     assert best is not None
     return best
+
+
+def _distinct(places: list[FloatArray], sharp: SharpTarget) -> list[FloatArray]:
+    """The places without those that are nearly the same as an earlier one."""
+    least = 0.1 * OCCLUSION.trial_step * min(sharp.form.half_size_px)
+    kept: list[FloatArray] = []
+    for place in places:
+        if all(np.hypot(*(place - other)) > least for other in kept):
+            kept.append(place)
+    return kept
 
 
 def _compare(sharp: SharpTarget, planes: ColourPlanes, light: FloatArray, dark: FloatArray) -> _OcclusionEvidence:

@@ -194,6 +194,25 @@ def _empty_target(dot: Dot, patch: Patch, noise: NoiseModel, noise_known: bool, 
     )
 
 
+def unmeasurable_target(dot: Dot, flags: frozenset[Flag]) -> SharpTarget:
+    """A target that was found but could not be fitted at rest: its place, its flags (or `poor_fit`), no numbers.
+
+    Parameters
+    ----------
+    dot
+        As found.
+    flags
+        What the fit says; empty where it had no solution.
+    """
+    lens = LensPsf(np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1), np.zeros((1, 2)))
+    form = EllipseShape(np.array([dot.semi_major_px, 0.0, dot.semi_minor_px]), lens, np.zeros((4, 4)))
+    place, nan = np.array([dot.x_px, dot.y_px]), np.full((2, 2), np.nan)
+    stated: frozenset[Flag] = (flags - {Flag.NOT_FOUND}) or frozenset({Flag.POOR_FIT})
+    return SharpTarget(
+        dot.name, place, nan, form, {}, NoiseModel(1.0, 0.0), False, chi2=float("nan"), flags=stated | {Flag.NOT_FOUND}
+    )
+
+
 def dot_model(planes: ColourPlanes, grid: FrequencyGrid) -> DarknessModel:
     """Darkness of a resting dot and its derivatives.
 

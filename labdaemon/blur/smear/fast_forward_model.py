@@ -7,6 +7,7 @@ inverse transform serves all colour planes. A test holds that both models agree.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -65,6 +66,25 @@ def fast_forward_model(
         if np.any(p[3 : 3 + k]):
             dark = dark + np.tensordot(to_single(p[3 : 3 + k]), by_p[3 : 3 + k], axes=1)
         return dark, by_p
+
+    return model
+
+
+def darkness_model(problem: FitProblem, transfer_function: TransferFunction) -> Callable[[FloatArray], FloatArray]:
+    """Darkness of a moving target as by `fast_forward_model`, without derivatives: a fifth of the time, for searches.
+
+    The shape is that of the sharp frame.
+    """
+    grid, planes, k = problem.grid, problem.planes, problem.shape_count
+    _, height, width = planes.values.shape
+    axes, origin = _frequency_axes(grid), np.asarray(planes.origin_px)
+
+    def model(p: FloatArray) -> FloatArray:
+        x, y = p[:2] - origin
+        transfer, _ = transfer_function(axes.fx, axes.fy, p[3 + k :])
+        moving = axes.place_target(float(x), float(y), float(p[2])) * to_single(transfer)
+        result: FloatArray = sample_plane(problem.rest_spectra.spectra * moving, grid, planes.period)
+        return result[:, :height, :width]
 
     return model
 
