@@ -19,6 +19,7 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.frame_set import FrameSet
+from labdaemon.blur.smear.member_agreement import flag_contradiction
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
@@ -83,7 +84,8 @@ def measure_group(
         problems.append(problem)
     there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
     frame_set = FrameSet.from_problems(sharp.with_scale_uncertainty(there), problems, windows, blurs)
-    return phased_measurement(*fit_with_harmonics(frame_set, harmonics))
+    frame_set, fitted = fit_with_harmonics(frame_set, harmonics)
+    return flag_contradiction(phased_measurement(frame_set, fitted), frame_set, fitted.solution)
 
 
 def _average_whole_cycles(

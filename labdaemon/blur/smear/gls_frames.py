@@ -7,7 +7,7 @@ the paper texture for evidence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -103,10 +103,27 @@ def _frames_equations(
     frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory, weights: Sequence[FrameWeights] | None
 ) -> tuple[FloatArray, list[FrameWeights]]:
     """(k + 1, k + 1) products of all frames, and the weights of each."""
+    size = len(solution.p) + 1
+    total, used = np.zeros((size, size)), []
+    for own, products, own_weights in frame_products(frame_set, solution, transfer_factory, weights):
+        total[np.ix_([*own, -1], [*own, -1])] += products
+        used.append(own_weights)
+    return total, used
+
+
+def frame_products(
+    frame_set: FrameSet,
+    solution: Solution,
+    transfer_factory: TransferFactory,
+    weights: Sequence[FrameWeights] | None = None,
+) -> Iterator[tuple[list[int], FloatArray, FrameWeights]]:
+    """Each frame's products of `gls.frame_equations`, the parameters that they are of, and the frame's weights.
+
+    The parameters are the frame's own and the common ones: the shape's, the ambient light's and the motion's.
+    """
     p, first, ambient = solution.p, frame_set.first_motion, frame_set.ambient_count
     max_amplitude_px = _max_amplitude_px(frame_set, p)
     dark, by_p = frame_set.forward_model(transfer_factory, max_amplitude_px, exact=True)(p)
-    total, used = np.zeros((len(p) + 1, len(p) + 1)), []
     nuisance = FRAME_PARAMETERS * len(frame_set.problems)
     for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
         own = [*range(FRAME_PARAMETERS * index, FRAME_PARAMETERS * (index + 1)), *range(nuisance, len(p))]
@@ -122,9 +139,6 @@ def _frames_equations(
         )
         transfer = frame_set.transfer(window, transfer_factory, max_amplitude_px)
         motion = TextureMotion.through_window(transfer, p[own[:FRAME_PARAMETERS]], p[first - ambient :])
-        products, own_weights = frame_equations(
-            frame_set.sharp, part, motion, None if weights is None else weights[index]
-        )
-        total[np.ix_([*own, -1], [*own, -1])] += products
-        used.append(own_weights)
-    return total, used
+        given = None if weights is None else weights[index]
+        products, used = frame_equations(frame_set.sharp, part, motion, given)
+        yield own, products, used
