@@ -107,8 +107,8 @@ class OcclusionSettings:
     """Directions of each, evenly over half a turn."""
     trial_step: float = 0.3
     """Distance of the positions that are compared, in radii of the dot."""
-    ranking_limit: float = 25.0  # residual, in sd, at which a pixel's cost is capped while trial motions are ranked
-    least_gain: float = 0.02  # part of the dot's capped cost that the best trial must explain; trial
+    ranking_limit: float = 25.0
+    """Residual, in standard deviations, at which a pixel's cost is capped while trial motions are ranked."""
     biweight_limits: tuple[float, ...] = (25.0, 12.0, 6.0)
     """Residuals at which the biweight becomes zero, in the successive fits of a motion."""
     fitted_motions: int = 6

@@ -66,7 +66,7 @@ def measure_on_label(
     radius = max(sharp.form.half_size_px)
     longest = max(_size(_axes(guess)[0]), 0.0 if found is None else _size(found.a_px), LABEL_EDGE.least_length * radius)
     if outline.nearest_px > radius + 2.0 * longest + LABEL_EDGE.holding_margin_px:
-        return attempt(_masked(outline, patch, guess), guess, True)  # no such path brings the end of the label near
+        return attempt(patch, _place(guess), True)  # no such path brings the end of the label near
     trials = rank_trials(sharp, outline, patch, [np.asarray(guess.centre_px, dtype=np.float64)])
     better = _first_determined(sharp, outline, patch, [trial for _, trial in trials], attempt)
     if better is not None and is_determined(better, sharp):
@@ -74,11 +74,11 @@ def measure_on_label(
     explained = trials[0][0] if trials else 0.0
     seen = [guess] if explained < LABEL_EDGE.least_explained else [guess, trials[0][1]]
     if all(outline.holds(radius + LABEL_EDGE.holding_margin_px, *_axes(one)) for one in seen):
-        return attempt(_masked(outline, patch, guess), guess, True)
+        return attempt(_masked(outline, patch, guess), _place(guess), True)
     clear = outline.clear_pixels(patch, np.asarray(guess.centre_px), *_axes(guess), LABEL_EDGE.margin_px)
     if explained < LABEL_EDGE.least_explained and np.count_nonzero(clear) >= LABEL_EDGE.least_pixels:
         # Something other than the edge of the label: an occluder, or the target is not there.
-        other = attempt(_masked(outline, patch, guess), guess, True)
+        other = attempt(_masked(outline, patch, guess), _place(guess), True)
         return other if found is None or Flag.OCCLUDED in other.flags else _at_edge(found)
     last = better if better is not None else found
     return _at_edge(last) if last is not None else _lost(sharp)
@@ -133,6 +133,11 @@ def _masked(outline: LabelOutline, patch: Patch, guess: InitialGuess) -> Patch:
 def _axes(guess: InitialGuess) -> tuple[FloatArray, FloatArray]:
     zero = np.zeros(2)
     return (guess.a_px if guess.a_px is not None else zero), (guess.b_px if guess.b_px is not None else zero)
+
+
+def _place(guess: InitialGuess) -> InitialGuess:
+    """The place alone: a fit then begins from the moments of what is seen."""
+    return InitialGuess(guess.centre_px)
 
 
 def _as_guess(found: Measurement) -> InitialGuess:

@@ -167,7 +167,8 @@ def _fit_consensus(
     ]
     costs = [disagreement(p, light, OCCLUSION.ranking_limit) for p in tried]
     gain = cost(np.zeros_like(darkness(tried[0])), light, OCCLUSION.ranking_limit) - min(costs)
-    if gain < OCCLUSION.least_gain * np.pi * radius**2 * OCCLUSION.ranking_limit**2:
+    least = OCCLUSION.min_visible_fraction * np.pi * radius**2
+    if gain < least * OCCLUSION.ranking_limit**2 and _dark_pixels(planes, light) < least:
         return None  # nothing of the target shows
     tried = [tried[index] for index in np.argsort(costs, kind="stable")]
     near = [
@@ -222,6 +223,13 @@ def _paper_illumination(sharp: SharpTarget, planes: ColourPlanes) -> FloatArray:
         light[row, 0] = np.percentile(values[valid], 80) if valid.any() else 1.0
         light[row, 3] = sharp.contrast.get(int(channel), 0.9)
     return light
+
+
+def _dark_pixels(planes: ColourPlanes, light: FloatArray) -> int:
+    """Number of pixels at least half as dark as ink: a blurred dot has some, wherever it is not covered."""
+    level = paper_level(planes, light)
+    dark = planes.values < level * (1.0 - 0.5 * light[:, 3, None, None])
+    return int(np.count_nonzero(dark & planes.valid))
 
 
 def _trial_motions(radius: float) -> list[FloatArray]:
