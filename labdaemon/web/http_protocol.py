@@ -101,9 +101,17 @@ class BoundedHttpProtocol(H11Protocol):
             self._write_timer = None
 
     def send_400_response(self, msg: str) -> None:
-        """What is no HTTP is answered once, and noted once a minute."""
+        """What is no HTTP is answered once, unless an answer has begun, and noted once a minute."""
         self.peers.warn(self._host(), "what it sent is no HTTP request")
-        super().send_400_response(msg)
+        cycle = self.cycle
+        if cycle is not None and not cycle.response_complete:
+            # Its body turned out to be none: whoever still makes the answer has no one to send it to.
+            cycle.disconnected = True
+            cycle.message_event.set()
+        try:
+            super().send_400_response(msg)
+        except h11.LocalProtocolError:  # an answer has begun, or was sent before the request's end
+            self.transport.close()
 
     def _read_again(self) -> None:
         self._pace_timer = None

@@ -235,6 +235,31 @@ async def test_a_flood_of_readers_leaves_operators_their_turn(serve, ask, raw, d
     await asyncio.gather(*floods, return_exceptions=True)
 
 
+@pytest.mark.parametrize("is_operator", [True, False])
+async def test_a_body_that_turns_out_to_be_none_is_refused_once(
+    serve, ask, bearer, caplog, daemon: FakeDaemon, is_operator: bool
+):
+    server = serve()
+    head = "POST /command/capture HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+    head += f"Authorization: {bearer['Authorization']}\r\n" if is_operator else ""
+    reader, writer = await asyncio.open_connection("127.0.0.1", int(server.address.rpartition(":")[2]))
+    writer.write(f"{head}Transfer-Encoding: chunked\r\n\r\n1\r\n{{\r\n".encode())
+    await writer.drain()
+    if not is_operator:
+        assert (await reader.readline()).startswith(b"HTTP/1.1 403")
+    else:
+        assert (await ask(server, "/status")).status == 200  # the first part has been read by now
+    writer.write(b"zz\r\n\r\nGET /status HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    async with asyncio.timeout(20.0):
+        rest = await reader.read()
+    assert rest.count(b"HTTP/1.1 400") == is_operator
+    assert (await ask(server, "/status")).status == 200
+    assert "capture" not in daemon.methods()
+    assert "failed" not in caplog.text
+    assert "Fatal" not in caplog.text
+    writer.transport.abort()
+
+
 async def test_pipelined_requests_are_answered_in_order(serve, raw):
     one = b"GET /status HTTP/1.1\r\nHost: localhost\r\n\r\n"
     last = one.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n")
