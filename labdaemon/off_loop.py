@@ -29,28 +29,41 @@ async def off_loop(function: Callable[[*Ts], T], *arguments: *Ts) -> T:
     """
     loop = asyncio.get_running_loop()
     future: asyncio.Future[T] = loop.create_future()
+    work = (function, arguments, loop, future)
+    threading.Thread(target=_run, args=work, name="off-loop", daemon=True).start()
+    del work
+    try:
+        return await future
+    finally:
+        # An error holds this frame, and the future holds the error: a circle that would keep a peer's megabyte in
+        # memory until the next full collection, which in a large process is rare.
+        del future
 
-    def settle(result: T | None, error: BaseException | None) -> None:
-        if future.done():
-            return
-        if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit | asyncio.CancelledError):
-            # A future does not take the first; the others would end the loop or look like a cancelled caller.
-            error = RuntimeError(f"{type(error).__name__} in {getattr(function, '__name__', function)}")
-        if error is not None:
-            future.set_exception(error)
-        else:
-            future.set_result(result)  # type: ignore[arg-type]
 
-    def run() -> None:
-        result, error = None, None
-        try:
-            result = function(*arguments)
-        except BaseException as exc:
-            error = exc
-        try:
-            loop.call_soon_threadsafe(settle, result, error)
-        except RuntimeError:
-            return  # the loop has closed: its caller is gone
+def _run(
+    function: Callable[[*Ts], T], arguments: tuple[*Ts], loop: asyncio.AbstractEventLoop, future: asyncio.Future[T]
+) -> None:
+    result: T | None = None
+    error: BaseException | None = None
+    try:
+        result = function(*arguments)
+    except (StopIteration, KeyboardInterrupt, SystemExit, asyncio.CancelledError) as exc:
+        # A future does not take the first; the others would end the loop or look like a cancelled caller.
+        error = RuntimeError(f"{type(exc).__name__} in {getattr(function, '__name__', function)}")
+    except BaseException as exc:
+        error = exc
+    try:
+        loop.call_soon_threadsafe(_settle, future, result, error)
+    except RuntimeError:
+        return  # the loop has closed: its caller is gone
+    finally:
+        del error, future, arguments  # the error's traceback holds this frame
 
-    threading.Thread(target=run, name="off-loop", daemon=True).start()
-    return await future
+
+def _settle(future: asyncio.Future[T], result: T | None, error: BaseException | None) -> None:
+    if future.done():
+        return
+    if error is not None:
+        future.set_exception(error)
+    else:
+        future.set_result(result)  # type: ignore[arg-type]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
+import weakref
 
 import pytest
 
@@ -68,3 +70,35 @@ def test_a_caller_that_is_cancelled_waits_no_longer() -> None:
         await asyncio.sleep(0.01)  # the thread's result comes to a future that nothing awaits
 
     asyncio.run(scenario())
+
+
+class Large:
+    """Stands for a peer's megabyte."""
+
+
+async def test_an_error_is_gone_with_its_frames_without_a_collection():
+    seen: list[weakref.ref[Large]] = []
+
+    def fail(large: Large) -> None:
+        held = large
+        seen.append(weakref.ref(held))
+        raise ValueError("no")
+
+    async def call() -> None:
+        try:
+            await off_loop(fail, Large())
+        except ValueError:
+            return
+
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(3):
+            await call()
+        for _ in range(200):  # the threads' own ends
+            if not any(reference() for reference in seen):
+                break
+            await asyncio.sleep(0.01)
+        assert not any(reference() for reference in seen)
+    finally:
+        gc.enable()

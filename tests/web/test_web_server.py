@@ -250,8 +250,11 @@ async def test_a_body_that_turns_out_to_be_none_is_refused_once(
     else:
         assert (await ask(server, "/status")).status == 200  # the first part has been read by now
     writer.write(b"zz\r\n\r\nGET /status HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    rest = b""
     async with asyncio.timeout(20.0):
-        rest = await reader.read()
+        with suppress(ConnectionResetError):  # it was closed with bytes that no one had read
+            while part := await reader.read(4096):
+                rest += part
     assert rest.count(b"HTTP/1.1 400") == is_operator
     assert (await ask(server, "/status")).status == 200
     assert "capture" not in daemon.methods()
@@ -360,7 +363,7 @@ async def test_streams_are_bounded_and_end_with_the_server(serve, ask, listen, m
         await source.next()
     assert (await ask(server, "/events")).status == 503
     server._end()
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(30.0):
         for source in sources:
             assert await source.reader.read() == b""
 
@@ -385,7 +388,7 @@ async def test_silent_and_slow_clients_lose_their_place(serve, ask, monkeypatch,
         for first in (b"", b"GET /sta", b"POST /rpc HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{"):
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(first)
-            async with asyncio.timeout(5.0):
+            async with asyncio.timeout(30.0):
                 with suppress(ConnectionResetError):
                     assert not (await reader.read()).startswith(b"HTTP/1.1 200")
             writer.close()
@@ -415,7 +418,7 @@ async def test_connections_are_bounded_and_idle_ones_give_way(serve, ask, monkey
     server = serve()
     port = int(server.address.rpartition(":")[2])
     crowd = [await asyncio.open_connection("127.0.0.1", port) for _ in range(6)]
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(30.0):
         for reader, _ in crowd[3:]:
             with suppress(ConnectionResetError):
                 assert await reader.read() == b""
