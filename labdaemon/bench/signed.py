@@ -25,6 +25,9 @@ MEAN_GREY = 0.825
 PRNU = 0.004
 """Sensitivities of the simulated pixels scatter by this: noise that no exposure removes."""
 
+TASK_LIMIT_S = 3600.0
+"""A task renders and measures a whole case, on a machine that may be busy with other work."""
+
 TWIN_FRACTION = 0.35
 """Error of the signed vectors, in parts of the motion, from which they are another motion's."""
 
@@ -108,7 +111,7 @@ def run_signed(
     """
     folder_maker()
     results = [SignedResult(case, []) for case in signed_cases(quick)]
-    with WorkerPool(workers) as pool, tempfile.TemporaryDirectory() as root:
+    with WorkerPool(workers, deadline_s=TASK_LIMIT_S) as pool, tempfile.TemporaryDirectory() as root:
         tasks = [
             (seed, result, pool.submit(compare_case, result.case, seed, Path(root) / f"{result.case.key}-{seed}"))
             for seed in seeds

@@ -18,8 +18,7 @@ _NORMAL_MEDIAN = 0.6745
 def signed_lines(results: Sequence[SignedResult]) -> list[str]:
     """What the command prints."""
     text = ["Signed motions: lamp rise 100 µs, D80, texture 0.4 %"]
-    for result in results:
-        text.append(_image_line(result) if np.isfinite(result.targets[0].bound_mm) else _space_line(result))
+    text += [_case_line(result) for result in results if result.targets]
     twins = [one for result in results if result.case.codes for one in result.targets]
     wrong = sum(one.is_wrong and one.unflagged for one in twins)
     text.append(f"Twins: {wrong} wrong without a flag of {len(twins)} targets under coded light (goal 0 in 500)")
@@ -32,6 +31,10 @@ def signed_document(results: Sequence[SignedResult]) -> dict[str, Any]:
         result.case.key: {"title": result.case.title, "line": line, "targets": len(result.targets)}
         for result, line in zip(results, signed_lines(results)[1:], strict=False)
     }
+
+
+def _case_line(result: SignedResult) -> str:
+    return _image_line(result) if np.isfinite(result.targets[0].bound_mm) else _space_line(result)
 
 
 def _image_line(result: SignedResult) -> str:
