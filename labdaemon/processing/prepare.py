@@ -241,7 +241,14 @@ def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, 
         reach = max(16, min(64, max(w, h) // 2))
         x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
         cuts = [f.patch(x0, y0, x1 - x0, y1 - y0) for f in frames]
-        targets.append(make_textured_patch(cuts, (x, y, w, h), name=f"P{number:02d}"))
+        target = solved(make_textured_patch)(cuts, (x, y, w, h), name=f"P{number:02d}")
+        if target is None:
+            raise DataError(
+                f"patch {x},{y},{w},{h} cannot be used: its sharp image has no values that can be interpolated; choose "
+                "one that is neither clipped nor empty",
+                file=file,
+            )
+        targets.append(target)
     grey = frame.grey()
     thumbnails = tuple(Thumbnail.cut(grey, box) for box in boxes)
     return PreparedCamera(

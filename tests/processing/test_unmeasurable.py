@@ -39,3 +39,12 @@ def test_an_unmeasurable_target_is_at_its_place_and_unusable(flags: frozenset[Fl
     assert not target.usable
     assert target.centre_px == pytest.approx((30.0, 40.0))
     assert target.flags == (flags | {Flag.NOT_FOUND} if flags else {Flag.POOR_FIT, Flag.NOT_FOUND})
+
+
+def test_a_patch_without_solution_is_refused_by_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_args, **_kwargs):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(prepare, "make_textured_patch", fail)
+    with pytest.raises(ld.errors.DataError, match="patch 40,50,40,40 cannot be used"):
+        ld.measure(sheet(1), sheet(2), patches=[(40, 50, 40, 40)])
