@@ -6,8 +6,11 @@ import secrets
 import shlex
 import shutil
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -31,6 +34,8 @@ settle = { max_change_per_cycle = 0.001, timeout_s = 60 }
 """
 FAILED = frozenset({"campaign.failed", "campaign.aborted", "campaign.paused"})
 TOKEN_FILE = "web.token"
+PATIENCE_S = 60.0
+"""The lines to join with are printed with the first envelope, so that the next one is near; or after so long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,28 +73,37 @@ def serve_demo(out: Path, text: str | None, addresses: ServeAddresses = ServeAdd
     (out / TOKEN_FILE).chmod(0o600)
     click.echo(f"Starting the simulated rig and the daemon in {out} …")
     with laboratory(out, commands=addresses.commands, events=addresses.events, more=addresses.sections()) as lab:
-        click.echo(f"Commands over HTTP need the token in {out / TOKEN_FILE}.")
-        click.echo("Serving; Ctrl-C ends it. To join, paste into another terminal:\n")
-        for title, lines in recipes(addresses).items():
-            click.echo(f"# {title}\n{lines}")
+        click.echo(f"Commands over HTTP need the token in {out / TOKEN_FILE}. The first envelope is on its way …")
         sys.stdout.flush()
+        began_s, is_printed = time.monotonic(), False
         while True:
-            _run_once(lab, text or ENDLESS)
+            for event in _campaign(lab, text or ENDLESS):
+                is_due = event["kind"] == "envelope" or time.monotonic() > began_s + PATIENCE_S
+                if not is_printed and is_due:
+                    is_printed = True
+                    _print_recipes(addresses)
+                if event["kind"] == "envelope":
+                    click.echo(f"envelope of {event['data']['capture']}")
+                    sys.stdout.flush()
 
 
-def _run_once(lab: DemoLab, text: str) -> None:
+def _print_recipes(addresses: ServeAddresses) -> None:
+    click.echo("Serving; Ctrl-C ends it. To join, paste into another terminal:\n")
+    for title, lines in recipes(addresses).items():
+        click.echo(f"# {title}\n{lines}")
+    sys.stdout.flush()
+
+
+def _campaign(lab: DemoLab, text: str) -> Iterator[dict[str, Any]]:
+    """Submit a campaign; its events, and statuses among them, until it is completed."""
     submitted = lab.client.call("campaign.submit", toml=text)["campaign"]
     for event in lab.events():
-        if event["campaign"] != submitted:
-            continue
-        match event["kind"]:
-            case "envelope":
-                click.echo(f"envelope of {event['data']['capture']}")
-                sys.stdout.flush()
-            case "campaign.completed":
-                return
-            case kind if kind in FAILED:
-                raise DemoFailed(f"{kind}: {event['data'].get('reason') or 'see the log'}")
+        if event["kind"] == "status" or event["campaign"] == submitted:
+            yield event
+        if event["campaign"] == submitted and event["kind"] == "campaign.completed":
+            return
+        if event["campaign"] == submitted and event["kind"] in FAILED:
+            raise DemoFailed(f"{event['kind']}: {event['data'].get('reason') or 'see the log'}")
 
 
 def recipes(addresses: ServeAddresses) -> dict[str, str]:
