@@ -25,6 +25,9 @@ MEAN_GREY = 0.825
 PRNU = 0.004
 """Sensitivities of the simulated pixels scatter by this: noise that no exposure removes."""
 
+GAUSSIAN_SIGMA_PX = 0.8
+"""Of the simulated lens without diffraction."""
+
 TASK_LIMIT_S = 3600.0
 """A task renders and measures a whole case, on a machine that may be busy with other work."""
 
@@ -192,7 +195,8 @@ def _bound(case: SignedCase, true: FloatArray, windows: list[ExposureWindow]) ->
     # Fixed pattern noise acts like photons: a larger variance for each count, at the brightness of this frame.
     gain = 1 / 8.5 + PRNU**2 * white * case.light_fraction
     noise = NoiseModel(7.0 / 8.5, gain, 0.004, 0.3 * PX_PER_MM)
-    dot = DotImage(0.5 * case.diameter_mm * PX_PER_MM, LENS_SIGMA_PX, white * (1 + case.ambient), 0.05, noise)
+    lens = GAUSSIAN_SIGMA_PX if case.options.get("gaussian_optics") else LENS_SIGMA_PX
+    dot = DotImage(0.5 * case.diameter_mm * PX_PER_MM, lens, white * (1 + case.ambient), 0.05, noise)
     return predict_sd(windows, size, phase, dot, direction_rad=direction)
 
 
