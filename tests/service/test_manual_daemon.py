@@ -46,7 +46,7 @@ def labdaemon(*arguments: str) -> str:
 
 def without_own_table(text: str, hook: Path) -> str:
     """The rig file of an outside system: no shaker and no trigger of ours; faults go to a script."""
-    for head in (r"\[shaker\]", r"\[shaker\.limits\]", r"\[interlocks\]", r"\[trigger\]"):
+    for head in (r"\[shaker\]", r"\[shaker\.limits\]", r"\[interlocks\]", r"\[trigger\]", r"\[lamp\]"):
         text = re.sub(head + r"\n(?:(?!\[).*\n)*", "", text)
     command = json.dumps(
         [sys.executable, "-c", "import sys; open(sys.argv[1], 'w').write(sys.stdin.read())", str(hook)]
