@@ -6,7 +6,7 @@ import csv
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def _table(about: dict[str, Any]) -> tuple[float, float]:
     return (1.0, UNKNOWN_TABLE_SD) if stated is None else (float(stated), TABLE_SD)
 
 
-def _is_positive(value: Any) -> bool:
+def _is_positive(value: Any) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < 1e9
 
 
