@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from labdaemon.errors import ConfigError, UsageError
-from labdaemon.stream.key_files import make_pair
 from labdaemon.stream.key_list import ListedClient, add_client, parse_clients, read_clients, remove_client
 from labdaemon.stream.roles import Role
 
-A, B = make_pair().public, make_pair().public
+A, B = "2Wrjd:WS.v9cE%f26vo7dLxYiz1%L8LQAKYE}mCa", "1v#&y[cayIGq(NCz?b6S&<vM5bqNMB]7AMa!vBP{"
+"""Fixed: test names contain them, and every worker must collect the same names."""
 HASH = "0000#" * 8
 
 
