@@ -23,7 +23,10 @@ from labdaemon.processing import NOT_FRAMES, RESULTS, Row, WorkerPool, process_f
 
 CRATE = "ro-crate-metadata.json"
 """Description of a data-set folder, at its root (RO-Crate 1.1)."""
-KEYS = {"envelope.csv": ("capture", "target"), "measurements.csv": ("capture", "camera", "target")}
+KEYS: dict[str, tuple[str, ...]] = {
+    "envelope.csv": ("capture", "target"),
+    "measurements.csv": ("capture", "camera", "target"),
+}
 """Result files and the columns that name a row."""
 
 

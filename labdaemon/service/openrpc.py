@@ -138,7 +138,7 @@ def openrpc_document() -> dict[str, Any]:
     }
 
 
-ERRORS = {
+ERRORS: dict[str, dict[str, Any]] = {
     name: {"code": code, "message": name, "data": {"name": name}} for code, name in sorted(messages.NAMES.items())
 }
 """Errors by the word in their ``data.name``."""

@@ -21,7 +21,7 @@ LOOK_S = 1.0
 ABSENT_LOOKS = 3
 """So many times in a row the list is not there before all clients are out: some editors remove a file, then write."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 def own_pair(folder: Path) -> KeyPair:

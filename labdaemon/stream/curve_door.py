@@ -24,7 +24,7 @@ ZAP_VERSION = b"1.0"
 USER, CONNECTION = "User-Id", "X-Connection"
 """Properties that libzmq is given with the verdict, and puts on each message of the connection."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class KeyedConnection(Protocol):

@@ -138,8 +138,12 @@ class StreamDaemon:
 
     async def _serve(self, started: threading.Event) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        self.server = CommandServer(self.commands, {name: self._handler(name) for name in METHODS}, None, self.policy)
-        self.publisher = EventPublisher(self.events, self.outbox, lambda: {"state": "idle"}, SystemClock(), self.policy)
+        self.server: CommandServer = CommandServer(
+            self.commands, {name: self._handler(name) for name in METHODS}, None, self.policy
+        )
+        self.publisher: EventPublisher = EventPublisher(
+            self.events, self.outbox, lambda: {"state": "idle"}, SystemClock(), self.policy
+        )
         self.server.bind()
         try:
             self.publisher.bind()

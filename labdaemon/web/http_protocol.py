@@ -41,7 +41,7 @@ class BoundedHttpProtocol(H11Protocol):
         When bytes last came, on the monotonic clock.
     """
 
-    peers = PeerLog(logging.getLogger(__name__), "web")
+    peers: PeerLog = PeerLog(logging.getLogger(__name__), "web")
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
