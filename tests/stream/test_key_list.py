@@ -10,7 +10,7 @@ from labdaemon.errors import ConfigError, UsageError
 from labdaemon.stream.key_list import ListedClient, add_client, parse_clients, read_clients, remove_client
 from labdaemon.stream.roles import Role
 
-A, B = "2Wrjd:WS.v9cE%f26vo7dLxYiz1%L8LQAKYE}mCa", "1v#&y[cayIGq(NCz?b6S&<vM5bqNMB]7AMa!vBP{"
+A, B = "2Wrjd:WS.v9cE%f26vo7dLxYiz1%L8LQAKYE}mCa", "1iLm4M4NNgcms8deUp5RAMkJ.sXyo:v?^mSy@.i8"
 """Fixed: test names contain them, and every worker must collect the same names."""
 HASH = "0000#" * 8
 
