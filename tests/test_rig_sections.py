@@ -1,4 +1,4 @@
-"""The sections of a rig file: addresses stay on loopback, commands are commands, numbers have ranges."""
+"""The sections of a rig file: addresses are addresses, commands are commands, numbers have ranges."""
 
 from __future__ import annotations
 
@@ -18,17 +18,12 @@ def test_loopback_is_allowed(address: str) -> None:
 
 
 @pytest.mark.parametrize(("address", "words"), [
-    ("tcp://0.0.0.0:5571", "off loopback, where anybody could move the table"),
-    ("tcp://192.168.1.5:5571", "off loopback"),
-    ("tcp://rig.example.org:5571", "off loopback"),
-    ("tcp://*:5571", "off loopback"),
     ("tcp://127.0.0.1:65536", "is no address"),
     ("tcp://127.0.0.1", "is no address"),
-    ("ipc:///tmp/x", "is no address"),
+    ("udp://127.0.0.1:5571", "is no address"),
     ("", "is no address"),
-    ("tcp://127.0.0.1.evil.org:80", "off loopback"),
 ])  # fmt: skip
-def test_nothing_else_is(address: str, words: str) -> None:
+def test_what_is_no_address_is_refused(address: str, words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         ServiceSection(commands=address)
 

@@ -17,6 +17,7 @@ REMEDIES = {
     Flag.MIXED_MOTION: "Parts of the patch move differently: make the patch smaller.",
     Flag.CAMERA_MOVED: "The control targets moved in this frame: check the tripod, and repeat the capture.",
     Flag.CONTRADICTS_GROUP: "The captures of the group differ: check that the excitation stayed the same.",
+    Flag.LIGHT_MISMATCH: "The light was not the code that was stated: check the lamp and its wiring.",
 }
 """Flag -> what to do."""
 

@@ -17,7 +17,7 @@ from starlette.routing import BaseRoute
 
 from labdaemon.stream.command_call import Execute
 from labdaemon.stream.event_feed import EventFeed
-from labdaemon.stream.messages import RpcRequest
+from labdaemon.stream.messages import BUSY, RpcRequest, error_bytes
 from labdaemon.stream.peer_log import PeerLog
 from labdaemon.stream.publisher import Outbox
 from labdaemon.stream.roles import Role
@@ -146,6 +146,8 @@ class WebServer:
                 return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(answer, daemon_loop))
             except RuntimeError:
                 answer.close()
+                if daemon_loop.is_closed():  # whoever asks in the daemon's last moment gets an answer, not a traceback
+                    return error_bytes(BUSY, "the daemon is ending", request.id)
                 raise
 
         loop = asyncio.get_running_loop()

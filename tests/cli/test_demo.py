@@ -204,8 +204,8 @@ def shake_and_kill(folder: Path) -> None:
 def test_a_daemon_that_is_killed_leaves_no_moving_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     start, last = demo_lab.simulator("rig"), {}
 
-    def watched() -> Any:
-        rig = start()
+    def watched(**options: Any) -> Any:
+        rig = start(**options)
         close = rig.close
 
         def look_and_close() -> None:

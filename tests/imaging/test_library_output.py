@@ -16,7 +16,7 @@ def test_what_c_code_prints_is_caught_and_judged(capfd: pytest.CaptureFixture[st
     assert printed.text == "a.dng: data corrupted at 1234\n"
     assert printed.reports_damage
     with captured_stderr() as printed:
-        os.write(2, b"a warning, nothing serious\n")
+        os.write(2, b"libpng warning: nothing serious\n")
     assert not printed.reports_damage
     print("afterwards", file=sys.stderr)
     assert capfd.readouterr().err == "afterwards\n"

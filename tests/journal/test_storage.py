@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from labdaemon import durable
 from labdaemon.errors import StorageError, StorageFull, StorageUnavailable
 from labdaemon.journal.storage import LOCK_NAME, DataLock, JournalError, JournalLocked, as_data_error, probe_disk
 
@@ -79,6 +80,7 @@ def test_locks_of_the_second_kind_are_enough(tmp_path: Path, monkeypatch: pytest
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
+    monkeypatch.setattr(durable, "_warned", set())  # each warning comes once a process, and other tests cause it too
     monkeypatch.setattr(fcntl, "flock", refuse)
     DataLock(tmp_path).release()
 
@@ -89,6 +91,7 @@ def test_a_file_system_without_locks_is_used_with_a_warning(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
+    monkeypatch.setattr(durable, "_warned", set())  # each warning comes once a process, and other tests cause it too
     monkeypatch.setattr(fcntl, "flock", refuse)
     monkeypatch.setattr(fcntl, "lockf", refuse)
     DataLock(tmp_path).release()

@@ -87,13 +87,13 @@ def test_other_ports_are_other_keys(other: str) -> None:
 
 def test_where_no_lock_can_be_made_the_stop_is_not_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "absent"))
-    assert not ShakerLock(PORT, "daemon").is_held
+    assert not ShakerLock(PORT, "daemon").descriptors
 
 
 def test_devices_of_the_own_process_need_no_lock() -> None:
     first, second = ShakerLock("sim://shaker", "daemon"), ShakerLock("sim://shaker", "daemon")
-    assert not first.is_held
-    assert not second.is_held
+    assert not first.descriptors
+    assert not second.descriptors
     assert lock_holder("sim://shaker", "daemon") is None
 
 
