@@ -10,24 +10,32 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import secrets
-from collections.abc import AsyncIterator
+import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import zmq
 import zmq.asyncio
 
 from labdaemon.stream import messages
-from labdaemon.stream.client import COMMANDS, EVENTS, SILENT_S
-from labdaemon.stream.client_errors import HeartbeatLost, NoDaemon, RemoteError
+from labdaemon.stream.client import COMMANDS, EVENTS, LOST_S, SILENT_S
+from labdaemon.stream.client_errors import HeartbeatLost, HistoryCut, JournalChanged, NoDaemon, RemoteError
 from labdaemon.stream.client_sockets import client_pair, connect, subscribe
 from labdaemon.stream.event_order import EventOrder, Message
 from labdaemon.stream.event_stream import READY_S, REPLAYED_AT_A_TIME
 from labdaemon.stream.key_files import KeyPair
 from labdaemon.stream.typed_commands import AsyncTypedCommands
+
+if TYPE_CHECKING:
+    from labdaemon.errors import LabdaemonError
+    from labdaemon.events import Event
+
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class AsyncClient(AsyncTypedCommands):
@@ -145,6 +153,53 @@ class AsyncClient(AsyncTypedCommands):
                 yield event
         finally:
             stream.close()
+
+    async def follow(
+        self, *, after: int | None = None, report: Callable[[LabdaemonError], object] | None = None
+    ) -> AsyncIterator[Message]:
+        """As `events`, without an end: through silences, restarts of the daemon, other journals and cut history.
+
+        Parameters
+        ----------
+        after, report
+            As of `labdaemon.Client.follow`.
+        """
+        report = report or (lambda trouble: log.warning("%s", trouble))
+        heard_s, is_lost = time.monotonic(), False
+        stream = AsyncEventStream(self, after=after)
+        try:
+            while True:
+                try:
+                    event = await stream.receive(LOST_S / 6)
+                except (JournalChanged, HistoryCut) as exc:
+                    report(exc)
+                    continue
+                except NoDaemon:
+                    event = None  # it went away between an event and the replay of those before it
+                silent_s = time.monotonic() - heard_s
+                if event is not None:
+                    heard_s, is_lost = time.monotonic(), False
+                    yield event
+                elif silent_s >= LOST_S and not is_lost:
+                    is_lost = True
+                    report(HeartbeatLost(self.events_address, silent_s))
+        finally:
+            stream.close()
+
+    async def typed_events(self, *, after: int | None = None, timeout_s: float = SILENT_S) -> AsyncIterator[Event]:
+        """The events of `events` as objects of `labdaemon.events`, statuses among them.
+
+        Raises
+        ------
+        NoDaemon, JournalChanged, HistoryCut
+            As `events`.
+        DataError
+            An event is not what this version knows under its kind: the daemon is of another version.
+        """
+        from labdaemon.events import parse_event  # the models take half a second to load
+
+        async for event in self.events(after=after, timeout_s=timeout_s):
+            yield parse_event(event)
 
     def subscribe(self) -> zmq.asyncio.Socket:
         """A raw subscription to everything; the caller closes it."""

@@ -197,6 +197,45 @@ async def test_the_async_client_does_the_same(daemon: StreamDaemon) -> None:
         stream.close()
 
 
+async def test_an_async_follower_outlives_a_restart_and_reports_the_silence(
+    daemon: StreamDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labdaemon.stream.async_client.LOST_S", 1.0)
+    troubles: list[LabdaemonError] = []
+    seqs: list[int] = []
+    silent, two = asyncio.Event(), asyncio.Event()
+
+    def report(trouble: LabdaemonError) -> None:
+        troubles.append(trouble)
+        silent.set()
+
+    async def follow(lab: AsyncClient) -> None:
+        async for event in lab.follow(after=0, report=report):
+            if event["kind"] == "fault":
+                seqs.append(event["seq"])
+                if len(seqs) == 2:
+                    two.set()
+
+    await asyncio.to_thread(daemon.publish, "fault", {"message": "1"})
+    async with AsyncClient(daemon.commands, daemon.events, timeout_s=20) as lab:
+        following = asyncio.create_task(follow(lab))
+        first = lab.typed_events(after=0, timeout_s=20)
+        async for event in first:
+            if event.kind == "fault":
+                assert event.data.message == "1"
+                break
+        await first.aclose()
+        await asyncio.to_thread(daemon.stop)
+        daemon.outbox.add("fault", {"message": "2"})  # published while the client is cut off
+        await asyncio.wait_for(silent.wait(), 20)
+        await asyncio.to_thread(daemon.start)
+        await asyncio.wait_for(two.wait(), 20)
+        following.cancel()
+        await asyncio.gather(following, return_exceptions=True)
+    assert seqs == [1, 2]
+    assert isinstance(troubles[0], HeartbeatLost)
+
+
 async def test_the_async_client_says_when_nothing_answers() -> None:
     async with AsyncClient("tcp://127.0.0.1:9", "tcp://127.0.0.1:9", timeout_s=0.1) as lab:
         with pytest.raises(NoDaemon):
