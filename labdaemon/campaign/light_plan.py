@@ -145,7 +145,10 @@ def plan_light(lit: LitExcitation, lamp: Lamp | None, steps_s: Sequence[float], 
 def _check(lit: LitExcitation, lamp: Lamp | None) -> Lamp:
     """The lamp, if it can play the codes."""
     if lamp is None:
-        raise ConfigError("plays a light code, but the rig has no [lamp]; add it, or leave light out")
+        raise ConfigError(
+            "plays a light code, but the rig has no [lamp] that its trigger can play; take a trigger with a lamp "
+            "output (driver box) and add [lamp], or leave light out"
+        )
     for code in lit.codes:
         if not SECTORS[0] <= len(code) <= SECTORS[1]:
             raise ConfigError(f"a code has {SECTORS[0]} to {SECTORS[1]} sectors, {_code_name(code)} has {len(code)}")

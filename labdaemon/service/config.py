@@ -19,7 +19,7 @@ from labdaemon.capture.abilities import ExcitationChecker, SettingsSource
 from labdaemon.capture.exposure import third_stop_steps_s, true_steps_s
 from labdaemon.errors import ConfigError, LimitError
 from labdaemon.rig_sections import DriverSection, RigSections
-from labdaemon.service.lamp_settings import check_player, image_scale, lamp_of
+from labdaemon.service.lamp_settings import image_scale, lamp_of
 from labdaemon.stream.access_token import AccessToken
 from labdaemon.tomlfile import nearest, parse_model, read_toml
 
@@ -111,7 +111,6 @@ def load_rig(path: Path | str, *, check_drivers: bool = True, check_files: bool 
         for key, kind, name, section in _driver_sections(rig):
             settings = rig.shaker_settings() if kind == "shaker" else section.settings
             _check_driver(source, key, kind, name, section, settings)
-        check_player(rig)
     if check_files:
         _check_lenses(rig)
     return rig

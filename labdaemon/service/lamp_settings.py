@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from labdaemon.campaign.light_plan import ImageScale
 from labdaemon.capture.lamp import Lamp
-from labdaemon.errors import ConfigError
 
 if TYPE_CHECKING:
     from labdaemon.service.config import RigConfig
@@ -16,32 +15,21 @@ if TYPE_CHECKING:
 UNKNOWN_IMAGE_SIZE = (6000, 4000)
 
 
-def check_player(rig: RigConfig) -> None:
-    """Check that the trigger's driver can play a code, where the rig has a lamp. Opens nothing.
-
-    Raises
-    ------
-    ConfigError
-        It cannot.
-    """
-    if rig.lamp is None:
-        return
+def can_play(rig: RigConfig) -> bool:
+    """Whether the trigger's driver can play a light code. Opens nothing."""
     driver = rig.trigger.driver
     found = entry_points(group="labdaemon.triggers")
-    if driver in found.names and bool(getattr(found[driver].load(), "plays_light", False)):
-        return
-    why = "an outside system fires the shutters" if driver == "camera" else f"driver {driver} has no lamp output"
-    raise ConfigError(
-        f"no light code can be played: {why}; it takes a trigger with a lamp output, as driver box",
-        source=rig.source,
-        key="lamp.output",
-    )
+    return driver in found.names and bool(getattr(found[driver].load(), "plays_light", False))
 
 
 def lamp_of(rig: RigConfig) -> Lamp | None:
-    """The rig's lamp, None without one."""
+    """The rig's lamp; None without one, or where the trigger cannot play a code.
+
+    A rig file serves with another trigger too, as while an outside system fires the shutters: only campaigns that ask
+    for coded light are refused then.
+    """
     section = rig.lamp
-    if section is None:
+    if section is None or not can_play(rig):
         return None
     flicker_hz = None if section.mains_hz is None else 2.0 * section.mains_hz
     return Lamp(section.rise_s, section.ambient, section.levels, section.margin_s, flicker_hz, section.sd_ambient)

@@ -14,6 +14,7 @@ from labdaemon.campaign.campaign_file import load_campaign
 from labdaemon.campaign.plan import make_plan
 from labdaemon.errors import ConfigError, DataError, LabdaemonError, LimitError
 from labdaemon.service.config import RigConfig, load_rig, plan_rig
+from labdaemon.service.lamp_settings import lamp_of
 from labdrivers.sim.rig_file import rig_toml
 from labdrivers.sim.spec import RigSpec
 
@@ -153,7 +154,6 @@ MISTAKES: list[tuple[tuple[str, str], str, str]] = [
     (("levels = 256", "levels = 1"), "lamp.levels", "greater than or equal to 2"),
     (("rise_s = 1e-4", "rise_ms = 0.1"), "lamp.rise_ms", "did you mean rise_s"),
     (("levels = 256", 'output = "gpio"'), "lamp.output", "'trigger'"),
-    (('driver = "box"', 'driver = "rts"'), "lamp.output", "driver rts has no lamp output"),
     (("ambient = 0.05 ", "mains_hz = 55\nambient = 0.05 "), "lamp.mains_hz", "50"),
     (('port = "sim://shaker"', 'prot = "sim://shaker"\nport = "x"'), "shaker.prot", "did you mean port"),
     (('backend = "sim"', 'backnd = "sim"'), "cameras.left.backnd", "did you mean backend"),
@@ -232,3 +232,11 @@ def test_the_config_is_frozen(tmp_path: Path) -> None:
     rig: RigConfig = load_rig(written(tmp_path))
     with pytest.raises(ValueError, match="frozen"):
         rig.service.data = "elsewhere"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("driver", ["rts", "camera"])
+def test_a_lamp_that_the_trigger_cannot_play_is_no_lamp(driver: str) -> None:
+    rig = load_rig(CONFIG / "sim.toml")
+    assert lamp_of(rig) is not None
+    other = rig.model_copy(update={"trigger": rig.trigger.model_copy(update={"driver": driver})})
+    assert lamp_of(other) is None  # the rig serves; plans with coded light are refused
