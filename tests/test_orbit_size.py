@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from labdaemon.orbit_size import largest_motion, semi_axes, semi_major_axis, size_mm
+from labdaemon.orbit_size import is_doubtful, largest_motion, semi_axes, semi_major_axis, size_mm
 
 
 def row(target: str, a: tuple[float, ...], b: tuple[float, ...] = (0.0, 0.0, 0.0), *flags: str) -> dict[str, Any]:
@@ -41,3 +41,11 @@ def test_doubtful_targets_are_counted_apart_and_lead_only_where_there_are_no_oth
     assert largest_motion(rows).text() == "largest 0.411 mm at T1; 1 doubtful"
     assert largest_motion(rows[1:2]).text() == "all 1 doubtful, the largest of these 0.977 mm at R12"
     assert largest_motion([]).text() == ""
+
+
+def test_captures_that_contradict_each_other_still_moved() -> None:
+    """An interlock sees a structure that rings while a group is taken: each of its captures says that it moves."""
+    row = {"target": "T", "ax_mm": 3.0, "ay_mm": 0.0, "az_mm": 0.0, "bx_mm": 0.0, "by_mm": 4.0, "bz_mm": 0.0}
+    motion = largest_motion([row | {"flags": ["contradicts_group"]}, row | {"ax_mm": 50.0, "flags": ["ambiguous"]}])
+    assert (motion.size_mm, motion.doubtful) == (4.0, 1)
+    assert is_doubtful({"flags": ["contradicts_group", "poor_fit"]})

@@ -25,7 +25,7 @@
     const sum = (dot(a, a) + dot(b, b)) / 2, difference = (dot(a, a) - dot(b, b)) / 2;
     return Math.sqrt(sum + Math.hypot(difference, dot(a, b)));
   }
-  const doubtful = (flags) => flags.some((flag) => flag !== "at_rest");
+  const doubtful = (flags) => flags.some((flag) => flag !== "at_rest" && flag !== "contradicts_group");
   function envelope(event) {
     const data = event.data, seen = data.targets.filter((t) => t.ax_mm !== null && t.ax_mm !== undefined && t.x_mm !== null);
     const names = ["x", "y", "z", "ax", "ay", "az", "bx", "by", "bz"];
