@@ -14,9 +14,11 @@ from typing import Any
 from labdaemon.flags import Flag
 
 HARMLESS = frozenset({Flag.AT_REST.value, Flag.CONTRADICTS_GROUP.value})
-"""Flags that leave no doubt about the size: a target at rest moves less than the detection limit; captures of a group that
-contradict each other differ by more than their sd, as while the structure still rings, but the target moved in each. An
-interlock must see it."""
+"""Flags that leave no doubt about the size.
+
+A target at rest moves less than the detection limit. Captures of a group that contradict each other differ by more than
+their sd, as while the structure still rings, but the target moved in each of them: an interlock must see it.
+"""
 
 Vector = tuple[float, ...]
 
