@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import sqlite3
 from collections import Counter
@@ -11,6 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from labdaemon.durable import PART
+from labdaemon.file_hash import sha256_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +73,7 @@ def judge(data: Path, *, taken: int, on_cards: int, captures: int, has_files: bo
             "SELECT count(*) FROM captures WHERE state IN ('intended', 'fired', 'exposed')"
         ).fetchone()[0]
     journal.close()
-    whole = sum(
-        (data / path).is_file() and hashlib.sha256((data / path).read_bytes()).hexdigest() == sha256
-        for path, _, sha256 in kept
-    )
+    whole = sum((data / path).is_file() and sha256_of(data / path) == sha256 for path, _, sha256 in kept)
     a_step = Counter(published)
     a_file = _captures_in(data)
     return CampaignVerdict(

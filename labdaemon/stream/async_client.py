@@ -12,7 +12,6 @@ import asyncio
 import json
 import logging
 import secrets
-import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from pathlib import Path
@@ -29,6 +28,7 @@ from labdaemon.stream.client_sockets import client_pair, connect, subscribe
 from labdaemon.stream.event_order import EventOrder, Message
 from labdaemon.stream.event_stream import READY_S, REPLAYED_AT_A_TIME
 from labdaemon.stream.key_files import KeyPair
+from labdaemon.stream.silence_report import SilenceReport
 from labdaemon.stream.typed_commands import AsyncTypedCommands
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ class AsyncClient(AsyncTypedCommands):
             As of `labdaemon.Client.follow`.
         """
         report = report or (lambda trouble: log.warning("%s", trouble))
-        heard_s, is_lost = time.monotonic(), False
+        silence = SilenceReport(self.events_address, report, LOST_S)
         stream = AsyncEventStream(self, after=after)
         try:
             while True:
@@ -176,13 +176,11 @@ class AsyncClient(AsyncTypedCommands):
                     continue
                 except NoDaemon:
                     event = None  # it went away between an event and the replay of those before it
-                silent_s = time.monotonic() - heard_s
-                if event is not None:
-                    heard_s, is_lost = time.monotonic(), False
-                    yield event
-                elif silent_s >= LOST_S and not is_lost:
-                    is_lost = True
-                    report(HeartbeatLost(self.events_address, silent_s))
+                if event is None:
+                    silence.check()
+                    continue
+                silence.heard()
+                yield event
         finally:
             stream.close()
 

@@ -27,6 +27,7 @@ from labdaemon.stream.client_errors import HeartbeatLost, HistoryCut, JournalCha
 from labdaemon.stream.client_sockets import client_pair, connect, subscribe
 from labdaemon.stream.event_stream import READY_S, EventStream
 from labdaemon.stream.key_files import KeyPair
+from labdaemon.stream.silence_report import SilenceReport
 from labdaemon.stream.typed_commands import TypedCommands
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ class Client(TypedCommands):
             they are logged.
         """
         report = report or (lambda trouble: log.warning("%s", trouble))
-        heard_s, is_lost = time.monotonic(), False
+        silence = SilenceReport(self.events_address, report, LOST_S)
         with EventStream(self, after=after) as stream:
             while True:
                 try:
@@ -189,13 +190,11 @@ class Client(TypedCommands):
                     continue
                 except NoDaemon:
                     event = None  # it went away between an event and the replay of those before it
-                silent_s = time.monotonic() - heard_s
-                if event is not None:
-                    heard_s, is_lost = time.monotonic(), False
-                    yield event
-                elif silent_s >= LOST_S and not is_lost:
-                    is_lost = True
-                    report(HeartbeatLost(self.events_address, silent_s))
+                if event is None:
+                    silence.check()
+                    continue
+                silence.heard()
+                yield event
 
     def typed_events(self, *, after: int | None = None, timeout_s: float = SILENT_S) -> Iterator[Event]:
         """The events of `events` as objects of `labdaemon.events`, statuses among them.
