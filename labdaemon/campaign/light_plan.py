@@ -28,7 +28,7 @@ SHORTEST_SECTOR_S = 1e-4
 TWIN_SD = 4.0
 """Codes whose nearest twin is nearer than this, in standard deviations of one target's image, have a twin."""
 TWIN_PX = 5.0
-"""Semi-amplitude at which that is judged: what is alike there is alike at any amplitude."""
+"""Semi-amplitude at which that is judged: what is equal there is equal at any amplitude."""
 NEAR_TWIN_SD = 3.0
 """At the amplitude that is expected: nearer than this a target in fifteen may be `ambiguous`."""
 PAIR_BELOW_PX = 2.0

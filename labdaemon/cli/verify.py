@@ -61,7 +61,7 @@ def noise_floor_command(folder: Path, captures: tuple[str, ...], results: Path |
 
     Take some captures with the table at rest, process them, and give them here. Columns: scatter of a target's position
     between captures, the sd stated for it and their ratio; median of the amplitude, and the limit that 95 % of the
-    amplitudes do not exceed: smaller motions cannot be told from rest. The sd stated in millimetres contains survey and
+    amplitudes do not exceed: smaller motions look like rest. The sd stated in millimetres contains survey and
     orientation, which all captures share, so that its ratio is far below 1; in pixels it should be near 1 or below.
     """
     place = results or folder / RESULTS

@@ -10,7 +10,7 @@ from html import escape
 from labdaemon.report.figures import axis_ticks, colour, svg_text
 
 MAX_LINES = 12
-"""More lines than this cannot be told apart; those with the largest amplitudes are drawn."""
+"""More lines are not readable; those with the largest amplitudes are drawn."""
 WIDTH, HEIGHT = 760.0, 300.0
 
 

@@ -143,7 +143,7 @@ class Client(TypedCommands):
         HeartbeatLost
             Nothing came for `timeout_s`, not even the heartbeat.
         JournalChanged, HistoryCut
-            The daemon was started on another journal, or the events asked for are no longer kept. `follow` goes on.
+            The daemon was started on another journal, or the events asked for are no longer kept. `follow` continues.
         """
         with EventStream(self, after=after) as stream:
             while True:

@@ -63,7 +63,7 @@ class PeerInspector:
     limits
         What it may send.
     is_encrypted
-        Whether it must encrypt (CURVE). Then messages cannot be told from one another, nor topics be seen: each frame
+        Whether it must encrypt (CURVE). Then messages all look the same and show no topic: each frame
         is bounded here, and the rest is counted where it is decrypted.
 
     Attributes

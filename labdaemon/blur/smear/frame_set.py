@@ -188,7 +188,7 @@ class FrameSet:
 def ambient_transfer(
     window: ExposureWindow, transfer_factory: TransferFactory, max_amplitude_px: float
 ) -> TransferFunction:
-    """Transfer function by (correction of the ambient light, motion…): lamp and room are told by their share of light.
+    """Transfer function by (correction of the ambient light, motion…): lamp and room by their share of light.
 
     Parameters
     ----------

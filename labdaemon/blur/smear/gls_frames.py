@@ -1,7 +1,7 @@
 """Generalised least squares over several frames, each through its own window, and the evidence between solutions.
 
 The weights are those of `gls`. Normal equations add over frames. With the same weights the sums of squares of two
-solutions can be compared, which is how a motion is told from its twins: sums under weights for independent noise take
+solutions can be compared: that separates a motion from its twins: sums under weights for independent noise take
 the paper texture for evidence.
 """
 
