@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -34,6 +35,13 @@ def shared_data() -> Path:
     if not data.is_dir():
         pytest.skip("the shared data folder is absent (set LABDAEMON_SHARED)")
     return data
+
+
+@pytest.fixture
+def socket_folder() -> Iterator[Path]:
+    """A folder whose name leaves room for a socket's; that of `tmp_path` may be longer."""
+    with tempfile.TemporaryDirectory(prefix="sock-", dir="/tmp") as name:
+        yield Path(name)
 
 
 @pytest.fixture

@@ -32,6 +32,9 @@ URL_GROUP = "labdaemon.serial_urls"
 TICK_S = 0.02
 """How long one read waits inside pyserial: deadlines are kept to this."""
 OPEN_FAULTS = (serial.SerialException, OSError, termios.error)
+CLOSED_MEANWHILE = (TypeError, AttributeError, ValueError)
+"""What pyserial lets out when another thread closes the port during a call: its descriptor or socket is None then, or
+closed (`select` refuses descriptor -1 with a ValueError)."""
 
 
 class PortSettings(DriverSettings):
@@ -242,10 +245,9 @@ class SerialLine:
                 f"{self.settings.port} takes no more bytes; is the device on and its handshake as configured?",
                 device=self.device,
             ) from exc
-        except (*OPEN_FAULTS, TypeError, AttributeError) as exc:
+        except (*OPEN_FAULTS, *CLOSED_MEANWHILE) as exc:
             if isinstance(exc, OSError) and exc.errno == errno.ENOTTY:
                 raise TransportError(f"{self.settings.port} has no such line ({doing})", device=self.device) from exc
-            # TypeError and AttributeError: pyserial's own when another thread closes the port during a call
             raise TransportError(
                 f"connection on {self.settings.port} lost while {doing} ({_reason(exc)}); check cable and power",
                 device=self.device,

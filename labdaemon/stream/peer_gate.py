@@ -40,6 +40,10 @@ HANDSHAKE_S = 5.0
 """A peer that has not said hello by then is none."""
 HELLO_S = 0.5
 """When all places are taken, it has to say hello within this time."""
+SHORT_FOLDERS = ("/tmp", "/dev/shm")
+"""Where a private folder is made when that for temporary files has too long a name."""
+LONGEST_FOLDER = 107 - len("/labdaemon-12345678/inner-1234567890")
+"""Bytes of a folder's name that leave room for a socket in it: Linux ends a socket's path at 107."""
 IDLE_S = 0.3  # a peer whose handshake takes longer is no program on this machine
 WAITS_S = 60.0
 """A peer of the commands socket that was silent for so long gives its place to a newcomer when all are taken; one that
@@ -69,10 +73,30 @@ def inner_address(*, is_private: bool = False) -> str:
     ----------
     is_private
         Whether other users of the machine must not reach it: then it lies in a folder that only this user can open.
+
+    Raises
+    ------
+    OSError
+        No folder for temporary files can be written, or the names of all of them are too long for a socket.
     """
-    if is_private:
-        return f"ipc://{tempfile.mkdtemp(prefix='labdaemon-')}/inner"
-    return f"ipc://@labdaemon-{os.getpid()}-{uuid.uuid4().hex}"
+    if not is_private:
+        return f"ipc://@labdaemon-{os.getpid()}-{uuid.uuid4().hex}"
+    candidates = [tempfile.gettempdir(), os.environ.get("XDG_RUNTIME_DIR", ""), *SHORT_FOLDERS]
+    short = [folder for folder in candidates if folder and len(os.fsencode(folder)) <= LONGEST_FOLDER]
+    failure = OSError(errno.ENAMETOOLONG, f"the folder for temporary files, {candidates[0]}, is too long for a socket")
+    for folder in short:
+        try:
+            return f"ipc://{tempfile.mkdtemp(prefix='labdaemon-', dir=folder)}/inner"
+        except OSError as exc:
+            failure = exc
+    raise failure
+
+
+def remove_inner(address: str) -> None:
+    """Remove the folder of a private `inner_address`; harmless for a name without one."""
+    path = address.removeprefix("ipc://")
+    if not path.startswith("@"):
+        shutil.rmtree(os.path.dirname(path), ignore_errors=True)  # empty, or nearly
 
 
 class PeerGate:
@@ -170,8 +194,7 @@ class PeerGate:
             timer.cancel()
         stop_listening(self._listener, self.address)
         self.shut()
-        if not self._inner.startswith("@"):
-            shutil.rmtree(os.path.dirname(self._inner), ignore_errors=True)  # empty, or nearly
+        remove_inner(self._inner)
         for connection in list(self._connections):
             connection.deliver()
             connection.close()

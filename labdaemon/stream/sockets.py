@@ -12,7 +12,7 @@ from labdaemon.errors import ConfigError
 from labdaemon.stream.access import KeyAccess
 from labdaemon.stream.curve_door import CurveDoor
 from labdaemon.stream.listener import SocketFile
-from labdaemon.stream.peer_gate import BACKLOG, PeerGate, inner_address
+from labdaemon.stream.peer_gate import BACKLOG, PeerGate, inner_address, remove_inner
 from labdaemon.stream.zmtp import PeerLimits
 
 MAX_FRAME_BYTES = 1 << 20
@@ -82,7 +82,10 @@ def bind(
         The address is taken (by another daemon, most likely) or is none of this machine's.
     """
     is_commands = kind == zmq.ROUTER
-    inner = inner_address(is_private=policy.place is not None)
+    try:
+        inner = inner_address(is_private=policy.place is not None)
+    except OSError as exc:
+        raise ConfigError(f"{address} cannot be served: {exc.strerror or exc}", key=key) from None
     socket = context.socket(kind)
     socket.set(zmq.LINGER, LINGER_MS)
     socket.set(zmq.SNDHWM, high_water)
@@ -101,14 +104,14 @@ def bind(
     try:
         gate = PeerGate(address, inner, limits, evicts_idle=is_commands, door=door, place=policy.place)
     except (OSError, ValueError, OverflowError) as exc:
-        _give_up(socket, door)
+        _give_up(socket, door, inner)
         if getattr(exc, "errno", None) == errno.EADDRINUSE:
             message = f"{address} is taken, most likely by a daemon that runs already; stop it or choose another port"
         else:
             message = f"{address} cannot be bound: {getattr(exc, 'strerror', None) or exc}"
         raise ConfigError(message, key=key) from None
     except BaseException:
-        _give_up(socket, door)
+        _give_up(socket, door, inner)
         raise
     if door is None:
         try:
@@ -120,7 +123,8 @@ def bind(
     return socket, gate
 
 
-def _give_up(socket: zmq.asyncio.Socket, door: CurveDoor | None) -> None:
+def _give_up(socket: zmq.asyncio.Socket, door: CurveDoor | None, inner: str) -> None:
     socket.close(linger=0)
+    remove_inner(inner)
     if door is not None:
         door.close()

@@ -144,8 +144,8 @@ class StreamDaemon:
         self.publisher: EventPublisher = EventPublisher(
             self.events, self.outbox, lambda: {"state": "idle"}, SystemClock(), self.policy
         )
-        self.server.bind()
         try:
+            self.server.bind()
             self.publisher.bind()
             self.commands, self.events = self.server.address, self.publisher.address
             tasks = [asyncio.create_task(part.run()) for part in (self.server, self.publisher)]

@@ -138,9 +138,9 @@ def test_a_note_is_gone_with_its_daemon(tmp_path: Path, monkeypatch: pytest.Monk
     PresenceNote("tcp://127.0.0.1:1", "rig.toml").remove()
 
 
-def test_commands_reach_a_daemon_over_a_unix_socket(run: Run, tmp_path: Path) -> None:
+def test_commands_reach_a_daemon_over_a_unix_socket(run: Run, socket_folder: Path) -> None:
     daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
-    daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
+    daemon.commands, daemon.events = f"ipc://{socket_folder}/c.sock", f"ipc://{socket_folder}/e.sock"
     assert run("stop", "--address", daemon.commands)[0] == 1  # no one listens yet
     daemon.start()
     try:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
@@ -93,6 +94,25 @@ def test_a_closed_peer_is_a_transport_error_at_once(wire):
     line.close()
     with pytest.raises(TransportError, match="not connected"):
         line.write(b"x")
+
+
+@pytest.mark.parametrize("call", ["read_line", "read_block", "discard", "write"])
+def test_a_port_that_another_thread_closes_during_a_call_is_lost(wire, call):
+    """The other thread's `close` has run, and this one's call is in pyserial already."""
+    _, port, line = wire
+    if isinstance(port, TcpPort):
+        line._port._socket.close()
+    else:
+        os.close(line._port.fd)
+        line._port.fd = None
+    calls = {
+        "read_line": lambda: line.read_line(until(0.2)),
+        "read_block": lambda: line.read_block(5),
+        "discard": line.discard,
+        "write": lambda: line.write(b"x"),
+    }
+    with pytest.raises(TransportError, match="lost while"):
+        calls[call]()
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from labdaemon.testing.stream_daemon import StreamDaemon
 
 
 @pytest.fixture
-def address(tmp_path: Path) -> str:
-    return f"ipc://{tmp_path}/c.sock"
+def address(socket_folder: Path) -> str:
+    return f"ipc://{socket_folder}/c.sock"
 
 
 def mode_of(address: str) -> int:
@@ -50,11 +50,11 @@ def test_two_daemons_do_not_share_a_path(address: str) -> None:
     stop_listening(listener, address)
 
 
-def test_a_file_that_is_no_socket_is_left_alone(address: str, tmp_path: Path) -> None:
-    (tmp_path / "c.sock").write_text("mine")
+def test_a_file_that_is_no_socket_is_left_alone(address: str, socket_folder: Path) -> None:
+    (socket_folder / "c.sock").write_text("mine")
     with pytest.raises(OSError, match="another file"):
         listen(address, 8)
-    assert (tmp_path / "c.sock").read_text() == "mine"
+    assert (socket_folder / "c.sock").read_text() == "mine"
 
 
 def test_a_group_that_is_not_there_is_named(address: str) -> None:
@@ -62,9 +62,9 @@ def test_a_group_that_is_not_there_is_named(address: str) -> None:
         listen(address, 8, SocketFile(0o660, "nosuchgroup"))
 
 
-def test_a_client_commands_and_hears_over_unix_sockets(tmp_path: Path) -> None:
+def test_a_client_commands_and_hears_over_unix_sockets(socket_folder: Path) -> None:
     daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
-    daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
+    daemon.commands, daemon.events = f"ipc://{socket_folder}/c.sock", f"ipc://{socket_folder}/e.sock"
     daemon.start()
     try:
         assert {mode_of(daemon.commands), mode_of(daemon.events)} == {0o600}
@@ -75,17 +75,47 @@ def test_a_client_commands_and_hears_over_unix_sockets(tmp_path: Path) -> None:
         assert not [line for line in Path("/proc/net/unix").read_text().splitlines() if f"-{os.getpid()}-" in line]
     finally:
         daemon.stop()
-    assert list(tmp_path.iterdir()) == []
+    assert list(socket_folder.iterdir()) == []
 
 
-def test_the_inner_socket_lies_in_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+def test_a_long_folder_for_temporary_files_is_no_obstacle(socket_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    long = socket_folder / ("x" * 120)
+    long.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(long))
+    monkeypatch.setattr("labdaemon.stream.peer_gate.SHORT_FOLDERS", (str(socket_folder / "none"), str(socket_folder)))
     daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
-    daemon.commands, daemon.events = f"ipc://{tmp_path}/c.sock", f"ipc://{tmp_path}/e.sock"
+    daemon.commands, daemon.events = f"ipc://{socket_folder}/c.sock", f"ipc://{socket_folder}/e.sock"
     daemon.start()
     try:
-        folders = [path for path in tmp_path.iterdir() if path.is_dir()]
+        assert len(list(socket_folder.glob("labdaemon-*"))) == 2
+        with Client(daemon.commands, daemon.events, timeout_s=20) as lab:
+            assert lab.call("stop")["rest"] == "shaker"
+    finally:
+        daemon.stop()
+    assert list(long.iterdir()) == []
+    assert list(socket_folder.iterdir()) == [long]
+
+
+def test_without_a_short_folder_the_message_says_what_is_too_long(
+    socket_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/tmp/" + "x" * 120)
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr("labdaemon.stream.peer_gate.SHORT_FOLDERS", ())
+    daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
+    daemon.commands, daemon.events = f"ipc://{socket_folder}/c.sock", f"ipc://{socket_folder}/e.sock"
+    with pytest.raises(ConfigError, match=r"temporary files, /tmp/x+, is too long"):
+        daemon.start()
+
+
+def test_the_inner_socket_lies_in_a_private_folder(socket_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(socket_folder))
+    daemon = StreamDaemon(DoorPolicy(place=SocketFile()))
+    daemon.commands, daemon.events = f"ipc://{socket_folder}/c.sock", f"ipc://{socket_folder}/e.sock"
+    daemon.start()
+    try:
+        folders = [path for path in socket_folder.iterdir() if path.is_dir()]
         assert [stat.S_IMODE(path.stat().st_mode) for path in folders] == [0o700, 0o700]
     finally:
         daemon.stop()
-    assert list(tmp_path.iterdir()) == []
+    assert list(socket_folder.iterdir()) == []
