@@ -8,8 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from labdaemon.analysis.campaign_response import TABLE_SD, CampaignResponse, read_campaign
-from labdaemon.findings import Mode, ModeSearch, candidate_frequencies, find_modes, next_frequency
+from labdaemon.analysis.campaign_response import CampaignResponse, read_campaign
+from labdaemon.findings import (
+    Mode,
+    ModeSearch,
+    Transmissibility,
+    candidate_frequencies,
+    find_modes,
+    next_frequency,
+    transmissibility_of,
+)
 from labdaemon.findings.modal_state import ModalState, state_of
 from labdaemon.findings.mode_shape import ModeShape, ShapePoint, antinodes, nodes, section_motions, share_along
 from labdaemon.findings.propagation import Estimate
@@ -74,6 +82,8 @@ class CampaignModes:
         Names.
     modes
         In ascending frequency; empty where there is none.
+    transmissibility
+        Of every target at every step.
     next_hz
         Frequency of the step that would give most information on the poles; None without modes.
     notes
@@ -82,6 +92,7 @@ class CampaignModes:
 
     targets: tuple[str, ...]
     modes: tuple[ModeReport, ...]
+    transmissibility: Transmissibility
     next_hz: float | None
     notes: tuple[str, ...]
 
@@ -89,6 +100,7 @@ class CampaignModes:
         """The object that `labdaemon modes --json` prints."""
         return {
             "modes": [one.to_json(self.targets) for one in self.modes],
+            "transmissibility": self.transmissibility.to_json(),
             "next_hz": self.next_hz,
             "notes": list(self.notes),
         }
@@ -103,13 +115,13 @@ def campaign_modes(folder: Path) -> CampaignModes:
         The folder has no usable envelopes; the message names it.
     """
     campaign = read_campaign(folder)
-    found = find_modes(campaign.series)
+    found, ratio = find_modes(campaign.series), transmissibility_of(campaign.series)
     notes = (*campaign.notes, *found.reasons)
     if found.fit is None or not found.modes:
-        return CampaignModes(campaign.series.targets, (), None, notes)
+        return CampaignModes(campaign.series.targets, (), ratio, None, notes)
     state = state_of(found.fit, campaign.positions_mm, campaign.series.targets)
     reports = tuple(_report(state, index, mode) for index, mode in enumerate(found.modes))
-    return CampaignModes(campaign.series.targets, reports, _next(campaign, found), notes)
+    return CampaignModes(campaign.series.targets, reports, ratio, _next(campaign, found), notes)
 
 
 def _report(state: ModalState, index: int, mode: Mode) -> ModeReport:
@@ -133,7 +145,7 @@ def _next(campaign: CampaignResponse, found: ModeSearch) -> float | None:
     series = campaign.series
     band = (float(series.frequency_hz.min()), float(series.frequency_hz.max()))
     sd = float(np.median(series.sd_real[series.valid()]))
-    table = float(np.median(series.table_mm))
+    table, sd_table = float(np.median(series.table_mm)), float(np.median(series.sd_table))
     candidates = candidate_frequencies(found.fit, band)
-    step = next_frequency(found.fit, candidates, sd_mm=sd, sd_table=TABLE_SD, table_mm=table)
+    step = next_frequency(found.fit, candidates, sd_mm=sd, sd_table=sd_table, table_mm=table)
     return None if step is None else step.frequency_hz

@@ -6,7 +6,7 @@ import csv
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +15,13 @@ from labdaemon.errors import ConfigError, DataError
 from labdaemon.findings import PhaseReference, ResponseSeries
 from labdaemon.findings.response import BoolArray, ComplexArray, FloatArray
 from labdaemon.flags import Flag
-from labdaemon.processing import RESULTS, read_csv
+from labdaemon.processing import RESULTS, TableAmplitude, is_positive, read_csv, table_motion
 from labdaemon.tomlfile import read_toml
 
-TABLE_SD = 0.002
-"""Relative sd of the table's amplitude where it is only stated: a calibrated controller holds it so well."""
-LEAST_TABLE_SD = 2e-4
-"""Smallest relative sd of an amplitude that a gauge saw: its record and the exposure are not quite the same time."""
 UNKNOWN_TABLE_SD = 1.0
-"""Where the amplitude of the table is not stated."""
+"""Relative sd of the table's amplitude where nothing states it."""
+LARGEST_PHASE_SD = 0.3
+"""Radians from which on the table's phase counts as unknown."""
 RIGHT_ANGLE = 1e-3
 """Cosine below which two semi-axes are at right angles, given six decimals in the file."""
 
@@ -86,7 +84,7 @@ def _captures(folder: Path) -> dict[str, dict[str, Any]]:
         _, about = read_toml(path)
         for key in ("frequency_hz", "excitation_amplitude_mm"):
             value = about.get(key)
-            if value is not None and not _is_positive(value):
+            if value is not None and not is_positive(value):
                 raise ConfigError(f"must be a positive number, not {value!r}", source=path, key=key)
         found[path.parent.name] = about
         if about.get("group"):
@@ -127,40 +125,47 @@ def _assemble(
         listed = ", ".join(f"{count} {name}" for name, count in counts.most_common())
         notes.append(f"{folder.name}: rows with flags are left out ({listed})")
     directions = np.isfinite(sd_real).any(axis=(0, 1))
-    phase = PhaseReference.STEP if _is_signed(amplitude) else PhaseReference.TARGET
-    tables = [_table(about[name]) for name in known]
-    missing = sum(sd == UNKNOWN_TABLE_SD for _, sd in tables)
+    tables = [table_motion(about[name]) for name in known]
+    if _is_signed(amplitude):
+        phase, amplitude, sd_phase = _phases(amplitude, tables)
+    else:
+        phase, amplitude, sd_phase = PhaseReference.TARGET, _along_axes(amplitude), np.full(len(known), np.inf)
+    missing = sum(one is None for one in tables)
     if missing:
         notes.append(f"{folder.name}: {missing} captures do not state the table's amplitude, so it is taken as unknown")
     series = ResponseSeries(
         np.array([float(about[name]["frequency_hz"]) for name in known]),
-        amplitude if phase is PhaseReference.STEP else _along_axes(amplitude),
+        amplitude,
         sd_real,
         sd_imag,
-        np.array([amplitude_mm for amplitude_mm, _ in tables]),
-        np.array([sd for _, sd in tables]),
+        np.array([1.0 if one is None else one.amplitude_mm for one in tables]),
+        np.array([_relative_sd(one) for one in tables]),
         phase,
         at_rest,
         names,
+        sd_phase,
     )
     return CampaignResponse(folder, series, _mean_positions(position), directions, tuple(notes))
 
 
-def _table(about: dict[str, Any]) -> tuple[float, float]:
-    """Amplitude of the table and its relative sd: as a gauge on it saw it, else as it was set, else unknown."""
-    gauges = about.get("gauges")
-    for gauge in gauges.values() if isinstance(gauges, dict) else ():
-        if not isinstance(gauge, dict) or gauge.get("role") != "table":
-            continue
-        amplitude, sd = gauge.get("amplitude_mm"), gauge.get("sd_amplitude_mm")
-        if _is_positive(amplitude) and _is_positive(sd) and sd < 0.1 * amplitude:
-            return float(amplitude), max(float(sd / amplitude), LEAST_TABLE_SD)
-    stated = about.get("excitation_amplitude_mm")
-    return (1.0, UNKNOWN_TABLE_SD) if stated is None else (float(stated), TABLE_SD)
+def _relative_sd(table: TableAmplitude | None) -> float:
+    return UNKNOWN_TABLE_SD if table is None else table.sd_mm / table.amplitude_mm
 
 
-def _is_positive(value: Any) -> TypeGuard[float]:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < 1e9
+def _phases(
+    amplitude: ComplexArray, tables: list[TableAmplitude | None]
+) -> tuple[PhaseReference, ComplexArray, FloatArray]:
+    """What phases refer to, amplitudes in that reference, and (K,) sd of the table's phase.
+
+    Where a gauge saw the table's phase in every capture, phases refer to the table; else each step has a phase of its
+    own, as the drive's phase against the excitation's reference is not known.
+    """
+    phase = np.array([0.0 if one is None or one.phase_rad is None else one.phase_rad for one in tables])
+    sd = np.array([np.inf if one is None or one.sd_phase_rad is None else one.sd_phase_rad for one in tables])
+    sd = np.where(sd < LARGEST_PHASE_SD, sd, np.inf)
+    if not np.isfinite(sd).all():
+        return PhaseReference.STEP, amplitude, np.full(len(sd), np.inf)
+    return PhaseReference.TABLE, amplitude * np.exp(-1j * phase)[:, None, None], sd
 
 
 def _mean_positions(position: FloatArray) -> FloatArray:

@@ -32,6 +32,12 @@ def modes(folder: Path, as_json: bool) -> None:
         )
     if not found.modes:
         click.echo("no mode")
+    peak = found.transmissibility.peak()
+    if peak is not None:
+        target, frequency, value, sd = peak
+        click.echo(
+            f"{target} moves {value:.4g} ± {sd:.2g} times as far as the table at {frequency:.4f} Hz: the largest"
+        )
     if found.next_hz is not None:
         click.echo(f"the next step gives most information at {found.next_hz:.4f} Hz")
     for note in found.notes:

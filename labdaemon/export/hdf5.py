@@ -36,8 +36,8 @@ def write(results: FolderResults, path: Path) -> None:
             data = file.create_dataset(f"envelope/{name}", data=cube.vectors[name])
             _describe(data, "mm", meaning)
             data.dims[2].label = "x, y, z"
-        for name, meaning in SCALARS.items():
-            _describe(file.create_dataset(f"envelope/{name}", data=cube.scalars[name]), "mm", meaning)
+        for name, (unit, meaning) in SCALARS.items():
+            _describe(file.create_dataset(f"envelope/{name}", data=cube.scalars[name]), unit, meaning)
         file.create_dataset("envelope/flags", data=cube.flags.astype(object), dtype=text)
         _name_axes(file, names)
 

@@ -25,7 +25,8 @@ def to_dataset(results: FolderResults) -> xr.Dataset:
             for name, meaning in VECTORS.items()
         },
         **{
-            name: (pair, cube.scalars[name], {"units": "mm", "long_name": meaning}) for name, meaning in SCALARS.items()
+            name: (pair, cube.scalars[name], {"units": unit, "long_name": meaning})
+            for name, (unit, meaning) in SCALARS.items()
         },
         "flags": (pair, cube.flags.astype(object)),
         "is_phase_known": ("capture", cube.is_phase_known.astype("i1")),

@@ -33,8 +33,8 @@ def to_table(results: FolderResults) -> pa.Table:
     for name, prefix in _PREFIXES.items():
         for axis, letter in enumerate("xyz"):
             columns[f"{prefix}{letter}_mm"] = (_numbers(cube.vectors[name][..., axis].ravel()), "mm")
-    for name in SCALARS:
-        columns[name] = (_numbers(cube.scalars[name].ravel()), "mm")
+    for name, (unit, _) in SCALARS.items():
+        columns[name] = (_numbers(cube.scalars[name].ravel()), unit)
     flags = [text.split(";") if text else [] for text in cube.flags.ravel()]
     columns["flags"] = (pa.array(flags, pa.list_(pa.string())), None)
     fields = [

@@ -108,9 +108,9 @@ def _shapes(cube: EnvelopeCube) -> list[dict[str, Any]]:
 
 def _functions(cube: EnvelopeCube) -> list[dict[str, Any]]:
     """Displacement of each target and direction per displacement of the table, over frequency."""
-    frequency, table = cube.per_capture["frequency_hz"], cube.per_capture["excitation_amplitude_mm"]
-    is_driven = np.isfinite(frequency) & np.isfinite(table) & (np.nan_to_num(table) > 0)
-    ratio = cube.complex_amplitude_mm[is_driven] / table[is_driven, None, None]
+    frequency, table = cube.per_capture["frequency_hz"], cube.per_capture["table_amplitude_mm"]
+    is_driven = np.isfinite(frequency) & np.isfinite(table)
+    ratio = cube.frequency_response[is_driven]
     has_phase = bool(cube.is_phase_known[is_driven].all())
     sets = []
     for node, target in enumerate(cube.targets, start=1):

@@ -21,6 +21,7 @@ from labdaemon.findings.phase_retrieval import with_residues
 from labdaemon.findings.response import PhaseReference, ResponseSeries, frequency_response
 from labdaemon.findings.spectra import SpectralModes, find_spectral_modes
 from labdaemon.findings.transient import with_transients
+from labdaemon.findings.transmissibility import Transmissibility, amplitude_ratio, transmissibility_of
 
 __all__ = [
     "AmplitudeDependence",
@@ -35,6 +36,8 @@ __all__ = [
     "PhaseReference",
     "ResponseSeries",
     "SpectralModes",
+    "Transmissibility",
+    "amplitude_ratio",
     "candidate_frequencies",
     "compare_levels",
     "find_modes",
@@ -47,6 +50,7 @@ __all__ = [
     "next_frequency",
     "refit",
     "remaining_transient",
+    "transmissibility_of",
     "with_residues",
     "with_transients",
 ]

@@ -22,6 +22,9 @@ from labdaemon.findings.response import BoolArray, ComplexArray, FloatArray, Pha
 MINOR_AXIS_SDS = 3.0
 """Minor semi-axes below so many sd are magnitudes of noise: their sign is not known, and their mean is 0."""
 
+LEAST_PHASE_SD = 1e-6
+"""Radians; an exact phase among others that are not."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalParameters:
@@ -133,8 +136,14 @@ class ModalProblem:
 
     @property
     def has_step_phases(self) -> bool:
-        """Whether each step has an unknown phase."""
-        return self.series.phase is PhaseReference.STEP
+        """Whether the steps' phases are parameters: unknown, or known with an error."""
+        series = self.series
+        return series.phase is not PhaseReference.TARGET and bool(np.any(series.sd_phase() > 0))
+
+    @property
+    def unknown_phases(self) -> int:
+        """Number of steps whose phase nothing determines beforehand."""
+        return int(np.count_nonzero(np.isinf(self.series.sd_phase()))) if self.has_step_phases else 0
 
     def predict(self, parameters: ModalParameters) -> ComplexArray:
         """(T, K, D) responses, mm, without an unknown phase."""
@@ -259,16 +268,19 @@ class ModalProblem:
 
     def _priors(self, parameters: ModalParameters) -> tuple[FloatArray, FloatArray]:
         """Weights (n,) of what is known of the shared parameters, and the known minus the present values."""
-        modes, steps = parameters.modes, len(parameters.gain)
+        modes = parameters.modes
         free = self.free_gains
         weight = [np.zeros(2 * modes), 1.0 / self.series.sd_table[free] ** 2]
         known = [np.zeros(2 * modes), -parameters.gain[free]]
         if self.has_step_phases:
-            reference = np.zeros(steps)
-            # One step's phase is the reference: a turn of all phases and all residues together changes nothing.
-            reference[0] = 0.0 if self.is_real else 1e12
-            weight.append(reference)
-            known.append(np.zeros(steps))
+            sd = np.maximum(self.series.sd_phase(), LEAST_PHASE_SD)
+            is_known = np.isfinite(sd)
+            each = np.where(is_known, 1.0 / sd**2, 0.0)
+            if not (self.is_real or is_known.any()):
+                # One step's phase is the reference: a turn of all phases and all residues together changes nothing.
+                each[0] = 1e12
+            weight.append(each)
+            known.append(np.where(is_known, -parameters.phase_rad, 0.0))
         return np.concatenate(weight), np.concatenate(known)
 
 

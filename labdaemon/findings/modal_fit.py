@@ -193,8 +193,7 @@ def _freedom(problem: ModalProblem, at: ModalParameters) -> int:
         rows -= int(np.count_nonzero(problem.counted_imag.any(axis=2)))  # one unknown phase each
     targets, directions, columns = at.coefficients.shape
     linear = targets * directions * columns * (1 if problem.is_real else 2)
-    phases = len(at.phase_rad) if problem.has_step_phases else 0
-    return int(rows - linear - 2 * at.modes - phases)
+    return int(rows - linear - 2 * at.modes - problem.unknown_phases)
 
 
 def refit(fitted: ModalFit, series: ResponseSeries) -> ModalFit:
@@ -207,7 +206,7 @@ def refit(fitted: ModalFit, series: ResponseSeries) -> ModalFit:
         gain=np.concatenate([before.gain, more]),
         phase_rad=np.concatenate([before.phase_rad, more]),
     )
-    if problem.has_step_phases:
+    if problem.has_step_phases and series.phase is PhaseReference.STEP:
         start = replace(start, phase_rad=_best_phases(problem, start))
     return fit(problem, start)
 

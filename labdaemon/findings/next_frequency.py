@@ -103,6 +103,7 @@ def _candidate_steps(
         table_mm=np.asarray(table, float),
         sd_table=np.full(len(frequency), sd_table),
         at_rest=None,
+        sd_phase_rad=np.full(len(frequency), float(np.median(series.sd_phase()))),
     )
     zero = np.zeros(len(frequency))
     parameters = replace(fitted.parameters, gain=zero, phase_rad=zero)
@@ -122,6 +123,7 @@ def joined(first: ResponseSeries, second: ResponseSeries) -> ResponseSeries:
         phase=first.phase,
         at_rest=np.concatenate([first.resting(), second.resting()]),
         targets=first.targets,
+        sd_phase_rad=np.concatenate([first.sd_phase(), second.sd_phase()]),
     )
 
 

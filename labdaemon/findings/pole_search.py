@@ -76,6 +76,7 @@ class PoleScan:
             sd = np.where(valid, (series.sd_real / series.table_mm[:, None, None]).reshape(steps, -1).T, 1.0)
         table = series.sd_table[None, :]
         if series.phase is PhaseReference.TABLE:
+            table = np.hypot(table, series.sd_phase()[None, :])
             weight = np.where(valid, 1 / np.hypot(sd, np.abs(value) * table), 0.0)
             value, weight = compress(value, weight, table)
             return cls(series.frequency_hz, value, weight, False, basis)

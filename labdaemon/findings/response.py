@@ -24,7 +24,7 @@ class PhaseReference(Enum):
     """To what the phases of a response refer."""
 
     TABLE = "table"
-    """To the table's motion: complex frequency responses."""
+    """To the table's motion, as well as `ResponseSeries.sd_phase_rad` says: complex frequency responses."""
     STEP = "step"
     """One unknown phase a step, common to all targets: signed amplitudes."""
     TARGET = "target"
@@ -53,6 +53,9 @@ class ResponseSeries:
         (K, T) where the amplitude is below the detection limit, so that only its square has a normal error.
     targets
         Names, T of them.
+    sd_phase_rad
+        (K,) standard deviation of the table's own phase at each step, common to all targets; infinite where nothing
+        shows it. None: 0 with phases that refer to the table, infinite without.
     """
 
     frequency_hz: FloatArray
@@ -64,6 +67,7 @@ class ResponseSeries:
     phase: PhaseReference = PhaseReference.TABLE
     at_rest: BoolArray | None = None
     targets: tuple[str, ...] = field(default=())
+    sd_phase_rad: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check shapes.
@@ -80,6 +84,8 @@ class ResponseSeries:
         for name in ("frequency_hz", "table_mm", "sd_table"):
             if getattr(self, name).shape != (steps,):
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, not ({steps},)")
+        if self.sd_phase_rad is not None and self.sd_phase_rad.shape != (steps,):
+            raise ValueError(f"sd_phase_rad has shape {self.sd_phase_rad.shape}, not ({steps},)")
         if steps and not (np.all(self.frequency_hz > 0) and np.all(self.table_mm > 0)):
             raise ValueError("frequencies and amplitudes of the table must be positive")
         if self.targets and len(self.targets) != targets:
@@ -105,6 +111,12 @@ class ResponseSeries:
         """(K, T) `at_rest`, nowhere where it was not given."""
         return np.zeros(self.amplitude.shape[:2], bool) if self.at_rest is None else self.at_rest
 
+    def sd_phase(self) -> FloatArray:
+        """(K,) `sd_phase_rad`, or what it is where it was not given."""
+        if self.sd_phase_rad is not None:
+            return self.sd_phase_rad
+        return np.full(self.steps, 0.0 if self.phase is PhaseReference.TABLE else FREE_PHASE_RAD)
+
     def subset(self, steps: NDArray[np.intp] | BoolArray) -> ResponseSeries:
         """The same targets at some of the steps."""
         return replace(
@@ -116,6 +128,7 @@ class ResponseSeries:
             table_mm=self.table_mm[steps],
             sd_table=self.sd_table[steps],
             at_rest=None if self.at_rest is None else self.at_rest[steps],
+            sd_phase_rad=None if self.sd_phase_rad is None else self.sd_phase_rad[steps],
         )
 
     def with_targets(self, indices: NDArray[np.intp]) -> ResponseSeries:

@@ -8,7 +8,7 @@ campaign processed again gives the same numbers.
 from labdaemon.processing.boards import CharucoBoard
 from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
 from labdaemon.processing.envelope import CaptureResult, join_motions, measure_capture, measure_in_folder
-from labdaemon.processing.excitation_facts import CaptureFacts, capture_facts
+from labdaemon.processing.excitation_facts import CaptureFacts, TableAmplitude, capture_facts, is_positive, table_motion
 from labdaemon.processing.folder import NOT_FRAMES, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
 from labdaemon.processing.frame_size import check_frame_sizes
@@ -55,6 +55,7 @@ __all__ = [
     "Row",
     "SharpSet",
     "Stamp",
+    "TableAmplitude",
     "WorkerPool",
     "board_files",
     "calibrate",
@@ -63,6 +64,7 @@ __all__ = [
     "check_frame_sizes",
     "csv_text",
     "frame_shift",
+    "is_positive",
     "jobs",
     "join_motions",
     "locate_targets",
@@ -85,5 +87,6 @@ __all__ = [
     "read_targets",
     "sharp_sets",
     "stamps",
+    "table_motion",
     "write_csv",
 ]

@@ -1,17 +1,69 @@
-"""What is known of each capture of a data-set folder: excitation, time, and whether it shows the phase."""
+"""What is known of each capture of a data-set folder: excitation, time, motion of the table, phase shown or not."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.tomlfile import read_toml
 
 PART_CYCLE = 0.05
 """Cycles from which an exposure is not whole any more, as for the flag part_cycles."""
+STATED_TABLE_SD = 0.002
+"""Relative sd of the table's amplitude where it is only stated: a calibrated controller holds it so well."""
+LEAST_TABLE_SD = 2e-4
+"""Smallest relative sd of an amplitude that a gauge saw: its record and the exposure are not quite the same time."""
+LARGEST_GAUGE_SD = 0.1
+"""Relative sd from which on a gauge's amplitude is not used."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableAmplitude:
+    """Motion of the table during a capture, as a gauge on it saw it, else as it was set.
+
+    Attributes
+    ----------
+    amplitude_mm, sd_mm
+        Zero to peak, and its standard deviation.
+    phase_rad, sd_phase_rad
+        Against the excitation's phase reference, as ``amplitude_mm sin(ωt + phase_rad)``; None where no gauge saw it.
+    """
+
+    amplitude_mm: float
+    sd_mm: float
+    phase_rad: float | None = None
+    sd_phase_rad: float | None = None
+
+
+def table_motion(about: Mapping[str, Any]) -> TableAmplitude | None:
+    """What a capture file says of the table's motion; None where it says nothing.
+
+    Parameters
+    ----------
+    about
+        Content of `capture.toml`.
+    """
+    gauges = about.get("gauges")
+    for gauge in gauges.values() if isinstance(gauges, Mapping) else ():
+        if not isinstance(gauge, Mapping) or gauge.get("role") != "table":
+            continue
+        amplitude, sd = gauge.get("amplitude_mm"), gauge.get("sd_amplitude_mm")
+        if is_positive(amplitude) and is_positive(sd) and sd < LARGEST_GAUGE_SD * amplitude:
+            phase, sd_phase = gauge.get("phase_rad"), gauge.get("sd_phase_rad")
+            spread = max(float(sd), LEAST_TABLE_SD * amplitude)
+            if isinstance(phase, (int, float)) and is_positive(sd_phase):
+                return TableAmplitude(float(amplitude), spread, float(phase), float(sd_phase))
+            return TableAmplitude(float(amplitude), spread)
+    stated = about.get("excitation_amplitude_mm")
+    return TableAmplitude(float(stated), STATED_TABLE_SD * stated) if is_positive(stated) else None
+
+
+def is_positive(value: Any) -> TypeGuard[float]:
+    """Whether a value of a capture file is a number that a frequency or an amplitude can have."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +73,9 @@ class CaptureFacts:
     Attributes
     ----------
     frequency_hz, excitation_amplitude_mm, exposure_s, opened_at
-        None where unknown; amplitude of the table, zero to peak.
+        None where unknown; amplitude of the table, zero to peak, as it was set.
+    table
+        Its motion as a gauge on it saw it, else as it was set; None where unknown.
     captures
         Names of the captures: several for a group.
     is_phase_known
@@ -33,6 +87,7 @@ class CaptureFacts:
     excitation_amplitude_mm: float | None = None
     exposure_s: float | None = None
     opened_at: str | None = None
+    table: TableAmplitude | None = None
     captures: tuple[str, ...] = ()
     is_phase_known: bool = False
 
@@ -65,6 +120,7 @@ def _joined(members: list[tuple[str, Mapping[str, Any]]]) -> CaptureFacts:
     return CaptureFacts(
         **numbers,
         opened_at=str(last["opened_at"]) if "opened_at" in last else None,
+        table=table_motion(last),
         captures=tuple(name for name, _ in members),
         is_phase_known=_shows_phase([about for _, about in members]),
     )

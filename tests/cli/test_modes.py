@@ -43,6 +43,9 @@ def test_modes_of_a_sweep(campaign: Path) -> None:
     assert first["out_of_plane"]["value"] < 1e-3
     assert abs(first["torsion_per_mm"]["value"]) < 5 * first["torsion_per_mm"]["sd"]
     assert 4.0 <= found["next_hz"] <= 18.0
+    ratio = found["transmissibility"]
+    assert len(ratio["frequency_hz"]) == len(ratio["targets"]["L05"]["value"]) == 26
+    assert max(ratio["targets"]["L05"]["value"]) > 20
 
 
 def test_text(campaign: Path) -> None:
@@ -51,6 +54,7 @@ def test_text(campaign: Path) -> None:
     assert "5.39" in result.output
     assert "nodes at none" in result.output
     assert "the next step" in result.output
+    assert "times as far as the table at 5.4" in result.output
 
 
 def test_no_mode_is_said(tmp_path: Path) -> None:

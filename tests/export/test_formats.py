@@ -27,6 +27,8 @@ def test_hdf5(folder: Path, cube: EnvelopeCube):
         assert [name.decode() for name in file["envelope/a_mm"].dims[1][0][()]] == list(cube.targets)
         np.testing.assert_array_equal(file["capture/frequency_hz"], [5.0, 8.0, 12.0])
         assert file["envelope/flags"].asstr()[2, 1] == "not_found"
+        np.testing.assert_array_equal(file["envelope/transmissibility"], cube.scalars["transmissibility"])
+        assert file["envelope/transmissibility"].attrs["units"] == "1"
 
 
 def test_parquet_by_pandas(folder: Path, cube: EnvelopeCube):
@@ -45,6 +47,7 @@ def test_parquet_by_pandas(folder: Path, cube: EnvelopeCube):
     schema = pq.read_schema(path)
     assert schema.field("sd_ax_mm").metadata == {b"unit": b"mm"}
     assert schema.field("exposure_s").metadata == {b"unit": b"s"}
+    assert one["transmissibility"] == cube.scalars["transmissibility"][1, 1]
 
 
 def test_netcdf_by_xarray(folder: Path, cube: EnvelopeCube):
@@ -85,8 +88,7 @@ def test_universal_file_by_pyuff(folder: Path, cube: EnvelopeCube):
     assert list(last["node_nums"]) == [1, 3]  # the one that was not found is left out
     function = sets[types.index(58)]
     np.testing.assert_allclose(function["x"], [5.0, 8.0, 12.0])
-    expected = cube.complex_amplitude_mm[:, 0, 0] / cube.per_capture["excitation_amplitude_mm"]
-    np.testing.assert_allclose(function["data"], expected, rtol=1e-6)
+    np.testing.assert_allclose(function["data"], cube.frequency_response[:, 0, 0], rtol=1e-6)
     assert (function["rsp_node"], function["rsp_dir"]) == (1, 1)
 
 

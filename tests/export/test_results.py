@@ -86,3 +86,31 @@ def test_the_complex_amplitude_gives_the_motion_back(folder: Path):
     expected = cube.vectors["a_mm"][1, 0] * np.sin(angle) + cube.vectors["b_mm"][1, 0] * np.cos(angle)
     np.testing.assert_allclose(motion, expected, atol=1e-12)
     assert (cube.complex_amplitude_mm[0].imag == 0).all()  # no phase is invented
+
+
+GAUGE = '[gauges.bed]\nrole = "table"\namplitude_mm = 1.6\nsd_amplitude_mm = 0.008\n'
+
+
+def test_transmissibility_takes_the_table_as_set_or_as_a_gauge_saw_it(folder: Path):
+    path = folder / "captures" / "five" / "capture.toml"
+    path.write_text(path.read_text(encoding="utf-8") + GAUGE, encoding="utf-8")
+    cube = EnvelopeCube.of(read_results(folder))
+    ratio, sd = cube.scalars["transmissibility"], cube.scalars["sd_transmissibility"]
+    size = cube.scalars["amplitude_mm"]
+    assert cube.per_capture["excitation_amplitude_mm"][0] == 2.0
+    np.testing.assert_allclose(ratio[0], size[0] / 1.6)
+    np.testing.assert_allclose(sd[0], np.hypot(cube.scalars["sd_amplitude_mm"][0] / 1.6, 0.005 * ratio[0]))
+    np.testing.assert_allclose(ratio[1], size[1])
+    assert np.isnan(ratio[2, 1])
+
+
+def test_a_target_that_rides_the_table_has_a_response_of_one(folder: Path):
+    """The table moves 0.7 rad before the excitation's reference, and so does the target."""
+    path = folder / "captures" / "eight-2" / "capture.toml"
+    gauge = GAUGE + "phase_rad = 0.7\nsd_phase_rad = 0.01\n"
+    path.write_text(path.read_text(encoding="utf-8") + gauge, encoding="utf-8")
+    cube = EnvelopeCube.of(read_results(folder))
+    cube.vectors["a_mm"][1, 0], cube.vectors["b_mm"][1, 0] = (
+        1.6 * f(0.7) * np.array([1.0, 0, 0]) for f in (np.cos, np.sin)
+    )
+    np.testing.assert_allclose(cube.frequency_response[1, 0], [1.0, 0.0, 0.0], atol=1e-12)
