@@ -16,6 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# Hypothesis gives each example 200 ms, which a busy machine misses; and examples by seed are the same in each run.
+settings.register_profile(
+    "labdaemon", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("labdaemon")
 
 
 def pytest_configure() -> None:

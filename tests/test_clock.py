@@ -27,7 +27,7 @@ def test_hours_pass_at_once_and_in_order() -> None:
     clock.run(scenario())
     assert order == [1.0, 24.0, 72.0]
     assert clock.monotonic() == pytest.approx(72 * 3600.0)
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < 60.0
 
 
 def test_timeouts_follow_it() -> None:

@@ -121,9 +121,10 @@ class LineGauge:
         """
         self.close()
         self._line.open()
-        self._values.clear()
-        self._times.clear()
-        self._total, self._fault = 0, None
+        with self._news:  # another thread may be reading the record of before
+            self._values.clear()
+            self._times.clear()
+            self._total, self._fault = 0, None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._listen, args=(self._closing,), name=self.name, daemon=True)
         self._thread.start()

@@ -134,10 +134,12 @@ class SerialLine:
         port, self._port = self._port, None
         if port is not None:
             peer = getattr(port, "_socket", None)
-            with suppress(*OPEN_FAULTS):  # the peer may have gone first: there is nothing left to close
+            # The peer may have gone first, or another thread is in a call: there is nothing left to close.
+            with suppress(*OPEN_FAULTS, *CLOSED_MEANWHILE):
                 port.close()
             if peer is not None:
-                peer.close()  # pyserial forgets to, when the other side hung up first
+                with suppress(OSError):
+                    peer.close()  # pyserial forgets to, when the other side hung up first
 
     def write(self, data: bytes) -> None:
         """Send bytes whole, never interleaved with another thread's."""
@@ -232,9 +234,10 @@ class SerialLine:
                     self._buffer += port.read(waiting)
 
     def _open_port(self) -> serial.Serial:
-        if self._port is None:
+        port = self._port  # read once: another thread may close it meanwhile
+        if port is None:
             raise TransportError("not connected; connect first", device=self.device)
-        return self._port
+        return port
 
     @contextmanager
     def _faults(self, doing: str) -> Iterator[None]:

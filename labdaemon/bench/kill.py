@@ -10,7 +10,6 @@ import json
 import random
 import shutil
 import signal
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -28,6 +27,7 @@ import click
 from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream.client import Client
+from labdaemon.testing.free_port import free_address
 
 TRANSITIONS = (
     "step.started",
@@ -96,10 +96,8 @@ class DaemonUnderTest:
         self.rig: Any = rig
         self.folder: Path = folder
         self.data: Path = folder / "data"
-        self.commands: str = f"tcp://127.0.0.1:{_free_port()}"
-        self.config: Path = rig.write_files(
-            folder, events=f"tcp://127.0.0.1:{_free_port()}", commands=self.commands, data=str(self.data)
-        )
+        self.commands: str = free_address()
+        self.config: Path = rig.write_files(folder, events=free_address(), commands=self.commands, data=str(self.data))
         text = self.config.read_text()
         if not gauges:  # then nothing can see the enable line stop the table either
             text = without_gauges(text).replace("[interlocks]\n", "[interlocks]\naccept_no_enable = true\n")
@@ -279,9 +277,3 @@ def _plain(outcome: KillOutcome) -> dict[str, Any]:
         "slowest_rest_s": max(outcome.rest_s, default=0.0),
         **counts,
     }
-
-
-def _free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])

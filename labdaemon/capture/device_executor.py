@@ -93,7 +93,13 @@ class ThreadExecutor:
         worker = self._workers.get(lane)
         if worker is None:
             name = self._device if lane == "call" else f"{self._device} ({lane})"
-            worker = self._workers[lane] = _Worker(name)
+            try:
+                worker = self._workers[lane] = _Worker(name)
+            except RuntimeError as exc:
+                raise TransportError(
+                    f"cannot be called: the system has no thread left ({exc}); end other programs or raise their limit",
+                    device=self._device,
+                ) from exc
         try:
             return await self._wait(worker, function, timeout_s)
         except TimeoutError:

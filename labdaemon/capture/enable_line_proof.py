@@ -22,6 +22,10 @@ END_S = 4.0
 
 LOOK_AGAIN_S = 0.2  # rest is seen twice, so far apart
 
+TRIES_AT_LARGEST = 3
+"""How often the largest amplitude is tried: a busy computer reads a gauge late or not at all, and a heavy table follows
+slowly."""
+
 
 class LineUnproven(InterlockError):
     """The enable line was not seen to stop the table."""
@@ -72,7 +76,8 @@ async def prove_enable_line(rig: Rig, table: Table, clock: Clock, frequency_hz: 
 
 async def _move(rig: Rig, table: Table, clock: Clock, frequency_hz: float, largest_mm: float) -> set[str]:
     """Move the table until something sees it; who does."""
-    for amplitude_mm in sorted({min(amplitude_mm, largest_mm) for amplitude_mm in AMPLITUDES_MM}):
+    amplitudes_mm = sorted({min(amplitude_mm, largest_mm) for amplitude_mm in AMPLITUDES_MM})
+    for amplitude_mm in amplitudes_mm + amplitudes_mm[-1:] * (TRIES_AT_LARGEST - 1):
         try:
             await table.excite(Excitation(frequency_hz, amplitude_mm))
         except LimitError:
@@ -84,7 +89,11 @@ async def _move(rig: Rig, table: Table, clock: Clock, frequency_hz: float, large
             witnesses.add("amplifier")
         if witnesses:
             return witnesses
-    raise LineUnproven("the enable line is not proven: neither table gauge nor controller saw the table move")
+    trouble = table.observer.gauge_trouble
+    raise LineUnproven(
+        "the enable line is not proven: neither table gauge nor controller saw the table move"
+        + (f" (the gauge could not be read: {trouble})" if trouble is not None else "")
+    )
 
 
 async def _see_end(table: Table, clock: Clock, witnesses: set[str]) -> None:

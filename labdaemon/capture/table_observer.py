@@ -45,6 +45,8 @@ class TableObserver:
         What the trigger box said last of the enable line; None when it never said.
     frequency_hz
         Of the table's motion as far as it is known: where the gauge looks for it.
+    gauge_trouble
+        What kept the table gauge from being read at the last look; None where it was read, or there is none.
     """
 
     def __init__(self, rig: Rig, clock: Clock) -> None:
@@ -52,6 +54,7 @@ class TableObserver:
         self.proof: EnableLineProof = "untried"
         self.line_down: bool | None = None
         self.frequency_hz: float | None = None
+        self.gauge_trouble: LabdaemonError | None = None
         self._shaker: tuple[float, ShakerState] | None = None
         self._gauge: tuple[float, bool] | None = None
         self._noise: float | None = None
@@ -124,7 +127,7 @@ class TableObserver:
         One record of noise in a hundred reads above three standard deviations, so only several in a row are motion.
         """
         gauge, frequency_hz = self._rig.gauge("table"), self.frequency_hz
-        self._gauge = None
+        self._gauge, self.gauge_trouble = None, None
         if gauge is None or frequency_hz is None or 1.0 / frequency_hz > LONGEST_RECORD_S:
             return None
         duration_s = min(max(2.0 / frequency_hz, SHORTEST_RECORD_S), LONGEST_RECORD_S)
@@ -136,6 +139,7 @@ class TableObserver:
                     lambda driver: driver.read(frequency_hz, duration_s=duration_s), duration_s + OBSERVE_S
                 )
             except LabdaemonError as exc:
+                self.gauge_trouble = exc
                 return exc  # silent, stuck or out of range: it sees nothing
             is_read_back_off = self._shaker is not None and not self._shaker[1].running
             if is_read_back_off or reading.value > CLEAR_SDS * reading.sd:

@@ -51,6 +51,8 @@ def as_data_error(exc: sqlite3.Error | OSError, file: Path, *, is_read: bool = F
             return _of_disk(exc, file)
         case sqlite3.SQLITE_IOERR:
             return StorageUnavailable(f"the disk does not answer ({exc}); check that it is connected", file=file)
+    if "closed database" in text:
+        return StorageUnavailable("the journal is closed: this daemon is ending; nothing is lost", file=file)
     if any(word in text for word in ("malformed", "not a database", "corrupt")):
         return JournalError(
             "the journal is damaged and was left as it is; start with --new-journal to set it aside and begin another",

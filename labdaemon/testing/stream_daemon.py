@@ -19,6 +19,7 @@ from labdaemon.stream.key_list import ListedClient, add_client
 from labdaemon.stream.publisher import EventPublisher, Outbox, latest, replay
 from labdaemon.stream.roles import Role
 from labdaemon.stream.sockets import ANYBODY, DoorPolicy
+from labdaemon.testing.free_port import free_address
 
 START_S = 20.0
 METHODS = (
@@ -74,8 +75,8 @@ class StreamDaemon:
     def __init__(self, policy: DoorPolicy = ANYBODY, *, outbox: Outbox | None = None) -> None:
         self.policy: DoorPolicy = policy
         self.outbox: Outbox = outbox or MemoryOutbox()
-        self.commands: str = "tcp://127.0.0.1:*"
-        self.events: str = "tcp://127.0.0.1:*"
+        self.commands: str = free_address()
+        self.events: str = free_address()
         self.asked: list[tuple[str, dict[str, Any]]] = []
         self.results: dict[str, Any] = {
             "status": {"state": "idle"},

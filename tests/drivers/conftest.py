@@ -16,6 +16,8 @@ from labdrivers.sim.spec import RigSpec
 from labdrivers.trigger_box import TriggerBox
 
 SPEC = RigSpec()
+PATIENCE_S = 30.0
+"""Longer than a busy machine takes for anything here; what never happens costs so long."""
 LIMITS = {
     "stroke_mm": SPEC.table.stroke_mm,
     "velocity_mm_s": SPEC.table.velocity_mm_s,
@@ -35,7 +37,7 @@ def shaker_settings(port: str = "sim://shaker", **changes: Any) -> dict[str, Any
     return {**base, **changes}
 
 
-def eventually(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+def eventually(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         if condition():

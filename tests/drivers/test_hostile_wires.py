@@ -63,7 +63,7 @@ def outcome(call, name):
         found = "worked"
     except DeviceError as exc:
         found = type(exc).__name__ if str(exc).startswith(name) else f"nameless: {exc}"
-    assert time.monotonic() - start < 8.0
+    assert time.monotonic() - start < 60.0
     assert "nameless" not in found
     return found
 

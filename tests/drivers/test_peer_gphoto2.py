@@ -190,7 +190,7 @@ def test_status_and_settings(camera):
 
 def test_a_shot_by_cable_is_noticed_fetched_and_deleted(camera, library, tmp_path):
     camera._session.call(CABLE_SHOT, 0, 50)
-    file = camera.wait_file(5.0)
+    file = camera.wait_file(30.0)
     assert file is not None
     assert file.size_bytes == len(library.content)
     to = tmp_path / "shot"
@@ -209,11 +209,11 @@ def test_a_series_and_then_a_full_store(camera):
     names = set()
     for _ in range(26):
         camera._session.call(Op.INITIATE_CAPTURE, 0, 0)
-        names.add(camera.wait_file(3.0).name)
+        names.add(camera.wait_file(30.0).name)
     assert len(names) == 26
     camera._session.call(Op.INITIATE_CAPTURE, 0, 0)
     with pytest.raises(DeviceRefused, match="card full"):
-        camera.wait_file(3.0)
+        camera.wait_file(30.0)
 
 
 @pytest.mark.parametrize("teller", ["interrupt endpoint", "list"])
@@ -227,7 +227,7 @@ def test_each_way_of_telling_works_alone(library, monkeypatch, teller):
     driver = PtpCamera("peer", {"serial": "0.1", "timeout_s": 2.0})
     driver.connect()
     driver._session.call(CABLE_SHOT, 0, 1)
-    assert driver.wait_file(4.0) is not None
+    assert driver.wait_file(30.0) is not None
     driver.close()
 
 

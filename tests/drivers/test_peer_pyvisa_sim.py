@@ -130,6 +130,6 @@ def test_qcodes_33522b_answers_error_to_frequency(make_shaker):
         start = time.monotonic()
         with pytest.raises((ProtocolError, DeviceError), match="ERROR"):
             call()
-        assert time.monotonic() - start < 8.0
+        assert time.monotonic() - start < 60.0
     assert "33522B" in shaker.connect()  # it is back in step
     port.close()

@@ -43,7 +43,7 @@ def heard(pipe: FakePipe) -> list[tuple[int, int]]:
     """What a listener has kept once all packets are read."""
     listener = EventListener(pipe)  # type: ignore[arg-type]
     listener.start()
-    assert pipe.is_empty.wait(5.0)
+    assert pipe.is_empty.wait(30.0)
     listener.close()
     found = []
     while (one := listener.next(0.0)) is not None:
@@ -82,7 +82,7 @@ def test_a_lost_camera_is_a_fault_not_a_dead_thread(error: Exception) -> None:
     pipe = FakePipe(event(ADDED, 1), error=error)
     listener = EventListener(pipe)  # type: ignore[arg-type]
     listener.start()
-    assert pipe.is_empty.wait(5.0)
+    assert pipe.is_empty.wait(30.0)
     listener.close()
     assert listener.next(0.0) == (ADDED, 1)
     assert isinstance(listener.fault, DeviceError)

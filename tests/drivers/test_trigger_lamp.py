@@ -210,7 +210,9 @@ def test_a_code_that_another_shot_took_is_not_credited_to_ours(slow, trigger, sh
 
 def test_a_second_code_while_one_is_played_is_refused(slow, trigger, shaker):
     shaker.set(12.0, 0.1)
-    trigger.fire_coded(EXPOSURE_S, LightRequest(SEVEN, 4), frequency_hz=12.0)
+    for camera in slow.bus.cameras.values():  # long enough for a busy machine to ask for the second one meanwhile
+        camera.body.settings.set(Prop.EXPOSURE_TIME, 200_000)
+    trigger.fire_coded(20.0, LightRequest(SEVEN, 230), frequency_hz=12.0)
     with pytest.raises(DeviceRefused, match="BUSY"):
         trigger.fire_coded(EXPOSURE_S, LightRequest(SEVEN, 4), frequency_hz=12.0)
     with pytest.raises(DeviceRefused, match="BUSY"):

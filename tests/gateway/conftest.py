@@ -47,13 +47,13 @@ class TextClient:
         return await self.answer()
 
     async def answer(self) -> str:
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(120.0):
             line = await self.reader.readline()
         assert line.endswith(b"\n"), "the connection has ended"
         return line[:-1].decode()
 
     async def is_closed(self) -> bool:
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(120.0):
             try:
                 while await self.reader.read(65536):
                     pass

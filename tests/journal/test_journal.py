@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from labdaemon.clock import SimulatedClock, SystemClock
-from labdaemon.errors import StorageFull
+from labdaemon.errors import StorageFull, StorageUnavailable
 from labdaemon.journal.journal import Journal
 from labdaemon.journal.schema import VERSION
 from labdaemon.journal.storage import DataLock, JournalError, JournalLocked, as_data_error
@@ -261,3 +261,14 @@ with journal.transaction("test") as write:
     journal = Journal(tmp_path, SystemClock())
     assert [event.data["number"] for event in journal.events_after(0, 10)] == [0, 1, 2, 3, 4]
     journal.close()
+
+
+def test_a_journal_that_another_thread_closed_is_no_damage(tmp_path: Path):
+    """The daemon ends while a client's question is on its way: nothing is wrong with the disk."""
+    journal = Journal(tmp_path, SystemClock())
+    journal.close()
+    for call in (lambda: journal.read("SELECT 1"), lambda: journal.recent(0, 1, 100)):
+        with pytest.raises(StorageUnavailable, match="this daemon is ending"):
+            call()
+    with pytest.raises(StorageUnavailable, match="this daemon is ending"), journal.transaction("late"):
+        pytest.fail("it was begun")

@@ -4,7 +4,6 @@ import json
 import os
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,14 +15,9 @@ from typing import Any
 import pytest
 
 from labdaemon.stream.client import Client
+from labdaemon.testing.free_port import free_address
 
-START_S = 60.0
-
-
-def free_address() -> str:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return f"tcp://127.0.0.1:{sock.getsockname()[1]}"
+START_S = 120.0
 
 
 class DaemonProcess:
@@ -57,14 +51,14 @@ class DaemonProcess:
         return self
 
     def ask(self, method: str, **params: Any) -> Any:
-        with Client(self.addresses["commands"], timeout_s=30.0) as client:
+        with Client(self.addresses["commands"], timeout_s=60.0) as client:
             return client.call(method, **params)
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         """Exit status, and what it said on stderr; 0 waits for it to end by itself."""
         if number and self.process.poll() is None:
             self.process.send_signal(number)
-        self.process.wait(60)
+        self.process.wait(120)
         assert self.process.stderr is not None
         return self.process.returncode, self.process.stderr.read()
 

@@ -20,6 +20,7 @@ from labdaemon.journal.journal import Journal
 from labdaemon.rig_sections import ServiceSection
 from labdaemon.service.fault_hook import FaultHook, message_of, resolve_command
 
+GAP_S = 0.3
 PLACE = {"rig": "/etc/rig.toml", "data": "/data", "host": "lab-pc", "pid": 7}
 KEEP = """
 import os, sys
@@ -32,16 +33,21 @@ os.rename(folder + ".part", whole)
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < end
         await asyncio.sleep(0.02)
 
 
-def serve(tmp_path: Path, command: list[str], scenario: Callable[[FaultHook, Journal], Awaitable[None]]) -> None:
+def serve(
+    tmp_path: Path,
+    command: list[str],
+    scenario: Callable[[FaultHook, Journal], Awaitable[None]],
+    timeout_s: float = 60.0,
+) -> None:
     async def main() -> None:
         journal = Journal(tmp_path / "data", SystemClock())
-        hook = FaultHook(command, journal, PLACE, SystemClock(), gather_s=0.1, gap_s=0.3, timeout_s=1.0)
+        hook = FaultHook(command, journal, PLACE, SystemClock(), gather_s=0.1, gap_s=GAP_S, timeout_s=timeout_s)
         running = asyncio.create_task(hook.run())
         try:
             await scenario(hook, journal)
@@ -60,6 +66,7 @@ def runs(folder: Path) -> list[dict[str, Any]]:
 def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path: Path):
     kept = tmp_path / "kept"
     kept.mkdir()
+    took_s: list[float] = []
 
     async def scenario(hook: FaultHook, journal: Journal) -> None:
         id = transitions.submit(journal, "night", "", "")
@@ -68,12 +75,14 @@ def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path
         transitions.move_campaign(journal, id, "paused", "port is gone")
         hook.wake()
         await until(lambda: len(list(kept.iterdir())) == 1)
+        began_s = time.monotonic()
         for number in range(20):
             transitions.fault(journal, id, FaultData(message=f"again {number}"))
             hook.wake()
             await asyncio.sleep(0.01)
         hook.fault_unrecorded(None, FaultData(device="disk", message="the disk is full"))
         await until(lambda: sum(len(run["events"]) for run in runs(kept) if run) >= 23)
+        took_s.append(time.monotonic() - began_s)
 
     serve(tmp_path, [sys.executable, "-c", KEEP, str(kept)], scenario)
     first, *later = runs(kept)
@@ -81,7 +90,7 @@ def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path
     assert first["text"] == "lab-pc: 0001-night: paused: port is gone"
     assert [event["kind"] for event in first["events"]] == ["fault", "campaign.paused"]
     assert first["daemon"] == PLACE
-    assert 1 <= len(later) <= 4  # 21 events within half a second, with a distance between two runs
+    assert 1 <= len(later) <= took_s[0] / GAP_S + 1  # 21 events, with a distance between two runs
     assert "the disk is full" in [event["data"]["message"] for run in later for event in run["events"]]
 
 
@@ -100,9 +109,9 @@ def test_a_command_that_hangs_fails_or_babbles_holds_nothing_up(tmp_path: Path, 
             hook.wake()
             before = time.monotonic()
             await asyncio.sleep(0.2)
-            assert time.monotonic() - before < 2.0  # the loop stayed free
+            assert time.monotonic() - before < 20.0  # the loop stayed free
 
-    serve(tmp_path, [sys.executable, "-c", source], scenario)
+    serve(tmp_path, [sys.executable, "-c", source], scenario, timeout_s=30.0)
 
 
 def test_no_shell_sees_the_command_or_the_message(tmp_path: Path):

@@ -17,7 +17,7 @@ from labdaemon.stream.client import Client, NoDaemon, RemoteError
 
 def labdaemon(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "labdaemon", *map(str, arguments)], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "labdaemon", *map(str, arguments)], capture_output=True, text=True, timeout=300
     )
 
 
@@ -46,8 +46,8 @@ def test_a_daemon_with_keys(config: Path, tmp_path: Path, start_daemon: Any, dae
         )
     daemons.append(start_daemon(config, tmp_path / "data").ready())
     commands, events = (daemons[0].addresses[name].replace("0.0.0.0", "127.0.0.1") for name in ("commands", "events"))
-    with Client(commands, events, timeout_s=20, key=tmp_path / "otto.key") as observer:
-        heard = observer.events(timeout_s=10)
+    with Client(commands, events, timeout_s=60, key=tmp_path / "otto.key") as observer:
+        heard = observer.events(timeout_s=60)
         assert next(heard)["kind"] == "status"
         with pytest.raises(RemoteError, match="for operators"):
             observer.call("stop")
@@ -58,7 +58,7 @@ def test_a_daemon_with_keys(config: Path, tmp_path: Path, start_daemon: Any, dae
         observer.timeout_s = 3.0
         heard.close()
         with pytest.raises((NoDaemon, RemoteError)):
-            ask_for(observer, seconds=20.0)
+            ask_for(observer, seconds=60.0)
 
 
 def ask_for(client: Client, seconds: float) -> None:

@@ -28,7 +28,7 @@ def stuck() -> Iterator[tuple[LogQueueHandler, list[str], threading.Event]]:
     reads = threading.Event()
 
     def write(one: logging.LogRecord) -> None:
-        reads.wait(20)
+        reads.wait(60)
         written.append(one.getMessage())
 
     handler = LogQueueHandler(write, capacity=3)
@@ -60,7 +60,7 @@ def test_an_unread_pipe_holds_up_neither_records_nor_the_end():
     for _ in range(400):
         handler.handle(record("x" * 1000))
     handler.close()
-    assert time.monotonic() - began < 10  # it would never end
+    assert time.monotonic() - began < 60  # it would never end
     assert handler.dropped > 100
     heard = b""
     while b"\n" not in heard:
@@ -84,7 +84,7 @@ def test_a_full_journal_socket_holds_up_nothing(tmp_path: Path):
         for number in range(5000):
             handler.handle(record("record %d", number))
         assert handler.dropped > 0
-        journal.settimeout(10)
+        journal.settimeout(60)
         heard = ""
         while f"({handler.dropped} in all)" not in heard:  # the last report: nothing is queued any more
             heard = journal.recv(65536).decode()

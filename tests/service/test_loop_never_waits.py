@@ -71,7 +71,7 @@ def notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def wait_for(daemon: Any, condition: Callable[[dict[str, Any]], bool]) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while not condition(daemon.ask("status")):
         assert time.monotonic() < deadline
         time.sleep(0.1)

@@ -32,7 +32,7 @@ def outside_rig() -> Iterator[Any]:
         yield running
 
 
-def until(condition: Callable[[], Any], timeout_s: float = 90.0) -> Any:
+def until(condition: Callable[[], Any], timeout_s: float = 200.0) -> Any:
     end = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < end, "it did not come to that in time"
@@ -41,7 +41,7 @@ def until(condition: Callable[[], Any], timeout_s: float = 90.0) -> Any:
 
 
 def labdaemon(*arguments: str) -> str:
-    return subprocess.run([*LABDAEMON, *arguments], check=True, capture_output=True, text=True, timeout=120).stdout
+    return subprocess.run([*LABDAEMON, *arguments], check=True, capture_output=True, text=True, timeout=300).stdout
 
 
 def without_own_table(text: str, hook: Path) -> str:
@@ -79,7 +79,7 @@ def test_captures_that_others_fire_become_envelopes_that_process_reproduces(
         )
         until(lambda: daemon.ask("status")["captures_expected"] == 1)
         box.fire(1.0)
-        answer = json.loads(asked.communicate(timeout=60)[0])
+        answer = json.loads(asked.communicate(timeout=200)[0])
         until(lambda: len(reported("capture.completed")) > stored)
         return str(answer["capture"])
 

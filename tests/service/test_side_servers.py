@@ -58,12 +58,12 @@ def test_captures_by_every_way_in(
         json.dumps({"label": "web", "group": "g3", **STATED}).encode(),
         {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"},
     )
-    with urllib.request.urlopen(request, timeout=60) as answer:
+    with urllib.request.urlopen(request, timeout=300) as answer:
         by_web = json.load(answer)["result"]["capture"]
 
     wanted = {by_rpc: ("rpc", "g1"), by_text: ("text", "g2"), by_web: ("web", "g3"), by_cli: ("cli", "g4")}
     seen: dict[str, Any] = {}
-    with urllib.request.urlopen(f"{service['web']}/events?after=0", timeout=60) as stream:
+    with urllib.request.urlopen(f"{service['web']}/events?after=0", timeout=300) as stream:
         while len(seen) < 5:
             line = stream.readline()
             if line.startswith(b"data: ") and b'"capture.completed"' in line:
@@ -80,7 +80,7 @@ def test_captures_by_every_way_in(
 def capture_by_text(address: str) -> str:
     """`TRIG` on the text gateway; the capture's name."""
     host, _, port = address.removeprefix("tcp://").rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=60) as client:
+    with socket.create_connection((host, int(port)), timeout=300) as client:
         client.sendall(
             b'CAPT:FREQ 6 HZ;AMPL 0.5 MM;PHAS 1.5;EXP 250 MS;GRO "g2";LAB "text"\nTRIG;CAPT?;:STAT?;:SYST:ERR?\n'
         )
@@ -132,4 +132,4 @@ def test_servers_change_no_results(config: Path, token_file: Path):
 def test_nothing_of_the_web_is_loaded_without_its_section():
     code = "import sys, labdaemon.cli.main, labdaemon.cli.remote, labdaemon.service.serve; "
     code += "sys.exit(bool({'uvicorn', 'starlette', 'paho', 'labdaemon.web'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], timeout=300, check=False).returncode == 0

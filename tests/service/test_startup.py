@@ -59,7 +59,7 @@ async def start() -> StartupSequence:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(120.0):
         while not condition():
             await asyncio.sleep(0.005)
 

@@ -44,14 +44,14 @@ class FakeDaemon:
 
     def subscribed(self) -> None:
         """Wait for a subscription: what is published after it arrives."""
-        assert self.publisher.poll(5000)
+        assert self.publisher.poll(60_000)
         self.publisher.recv()
 
     def close(self) -> None:
         with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
             socket.connect(self.commands)
             socket.send(b"end")
-            self._thread.join(5.0)
+            self._thread.join(60.0)
         self.context.destroy(linger=0)
 
     def _replay(self, params: dict[str, Any]) -> Any:
@@ -85,7 +85,7 @@ def daemon() -> Iterator[FakeDaemon]:
 
 @pytest.fixture
 def client(daemon: FakeDaemon) -> Iterator[Client]:
-    with Client(daemon.commands, daemon.events, timeout_s=5.0) as client:
+    with Client(daemon.commands, daemon.events, timeout_s=60.0) as client:
         yield client
 
 
@@ -141,7 +141,7 @@ def test_events_come_in_order(daemon: FakeDaemon, follow: Callable[..., EventStr
     daemon.publish(event(7, "status"))
     daemon.publish(event(8))
     daemon.publish(event(8, "status"))
-    assert [stream.receive(5.0)["seq"] for _ in range(3)] == [7, 8, 8]  # type: ignore[index]
+    assert [stream.receive(60.0)["seq"] for _ in range(3)] == [7, 8, 8]  # type: ignore[index]
     assert stream.last == 8
     assert stream.receive(0.01) is None
 
@@ -152,7 +152,7 @@ def test_a_gap_is_filled_before_what_came_after_it(daemon: FakeDaemon, follow: C
     stream = follow(after=1, journal="u1")
     daemon.subscribed()
     daemon.publish(event(7))
-    assert [stream.receive(5.0)["seq"] for _ in range(6)] == [2, 3, 4, 5, 6, 7]  # type: ignore[index]
+    assert [stream.receive(60.0)["seq"] for _ in range(6)] == [2, 3, 4, 5, 6, 7]  # type: ignore[index]
     assert daemon.calls.count("events.replay") == 3
 
 
@@ -165,7 +165,7 @@ def test_an_event_that_was_replayed_already_is_not_given_twice(
     daemon.publish(event(3, "status"))
     daemon.publish(event(3))
     daemon.publish(event(4))
-    kinds = [stream.receive(5.0) for _ in range(5)]
+    kinds = [stream.receive(60.0) for _ in range(5)]
     assert [(one["kind"], one["seq"]) for one in kinds if one] == [
         ("fault", 1), ("fault", 2), ("fault", 3), ("status", 3), ("fault", 4),
     ]  # fmt: skip
@@ -179,14 +179,14 @@ def test_another_history_is_reported_once_and_followed_from_its_beginning(
     daemon.history = [event(1)]
     daemon.publish(event(1, "status"))
     with pytest.raises(JournalChanged, match="u1 now, it was u0"):
-        stream.receive(5.0)
+        stream.receive(60.0)
     daemon.publish(event(1, "status"))
-    assert [stream.receive(5.0)["kind"] for _ in range(2)] == ["fault", "status"]  # type: ignore[index]
+    assert [stream.receive(60.0)["kind"] for _ in range(2)] == ["fault", "status"]  # type: ignore[index]
 
 
 def test_typed_events_are_objects(daemon: FakeDaemon, client: Client) -> None:
     daemon.history = [event(1, device="left", message="no answer")]
-    events = client.typed_events(after=0, timeout_s=5.0)
+    events = client.typed_events(after=0, timeout_s=60.0)
     publishing = threading.Thread(target=lambda: (daemon.subscribed(), daemon.publish(event(1, "status"))))
     publishing.start()
     first = next(events)
@@ -198,7 +198,7 @@ def test_typed_events_are_objects(daemon: FakeDaemon, client: Client) -> None:
 
 def test_an_event_of_another_version_is_named(daemon: FakeDaemon, client: Client) -> None:
     daemon.history = [event(1, step="first")]
-    events = client.typed_events(after=0, timeout_s=5.0)
+    events = client.typed_events(after=0, timeout_s=60.0)
     publishing = threading.Thread(target=lambda: (daemon.subscribed(), daemon.publish(event(1, "status"))))
     publishing.start()
     with pytest.raises(DataError, match="step"):

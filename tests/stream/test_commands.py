@@ -96,7 +96,7 @@ async def dealer(lab: Lab) -> AsyncIterator[zmq.asyncio.Socket]:
 
 
 async def receive(socket: zmq.asyncio.Socket) -> dict[str, Any]:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         answer: dict[str, Any] = json.loads((await socket.recv_multipart())[-1])
     return answer
 

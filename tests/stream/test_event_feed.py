@@ -48,7 +48,7 @@ class CountedOutbox:
 
 def run(scenario: Callable[[], Coroutine[Any, Any, None]]) -> None:
     async def bounded() -> None:
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(120.0):
             await scenario()
 
     asyncio.run(bounded())

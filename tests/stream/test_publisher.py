@@ -99,16 +99,16 @@ class Service:
             done.set()
 
         self.loop.call_soon_threadsafe(add)
-        assert done.wait(5)
+        assert done.wait(60)
 
     def __enter__(self) -> Service:
         self._thread.start()
-        assert self._ready.wait(5)
+        assert self._ready.wait(60)
         return self
 
     def __exit__(self, *_: object) -> None:
         self.loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join(10)
+        self._thread.join(60)
         assert not self._thread.is_alive()
 
     def client(self) -> Client:

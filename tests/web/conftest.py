@@ -72,7 +72,7 @@ async def exchange(server: WebServer, request: bytes) -> bytes:
     reader, writer = await asyncio.open_connection("127.0.0.1", int(server.address.rpartition(":")[2]))
     try:
         writer.write(request)
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(120.0):
             return await reader.read()
     finally:
         writer.transport.abort()

@@ -177,17 +177,15 @@ class PtpCamera:
         DeviceRefused
             The body says that its card is full.
         """
-        self._connected()
-        assert self._watch is not None
+        watch = self._watching()
         with self._parsing():
-            return self._watch.next(timeout_s)
+            return watch.next(timeout_s)
 
     def files(self) -> list[CardFile]:
         """All files on the camera, folders left out, oldest first."""
-        self._connected()
-        assert self._watch is not None
+        watch = self._watching()
         with self._parsing():
-            return self._watch.files()
+            return watch.files()
 
     def download(self, file: CardFile, to: Path) -> None:
         """Write the file to `to`, going on from its present length; what was fetched stays when it fails.
@@ -206,8 +204,9 @@ class PtpCamera:
         """The file that its handle refers to now; None if it is gone."""
         with self._parsing():
             now = card_file(self._connected(), file.handle)
-        if now != file and self._watch is not None:
-            self._watch.ask_again(file.handle)
+        watch = self._watch
+        if now != file and watch is not None:
+            watch.ask_again(file.handle)
         return now
 
     def read(self, file: CardFile, offset: int, size: int) -> bytes:
@@ -241,13 +240,21 @@ class PtpCamera:
         except PtpRefused as exc:
             if exc.code != Response.BAD_HANDLE:
                 raise
-        if self._watch is not None:
-            self._watch.forget(file.handle)
+        watch = self._watch
+        if watch is not None:
+            watch.forget(file.handle)
 
     def _connected(self) -> PtpSession:
-        if self._session is None:
+        session = self._session  # read once: another thread may close meanwhile
+        if session is None:
             raise TransportError("not connected; connect first", device=self.name)
-        return self._session
+        return session
+
+    def _watching(self) -> FileWatch:
+        watch = self._watch
+        if watch is None:
+            raise TransportError("not connected; connect first", device=self.name)
+        return watch
 
     @contextmanager
     def _parsing(self) -> Iterator[None]:

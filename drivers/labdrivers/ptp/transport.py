@@ -27,6 +27,9 @@ TO_INTERFACE, FROM_INTERFACE = 0x21, 0xA1
 BIGGEST_READ = 1 << 20  # one request of libusb
 BIGGEST_CONTAINER = 1 << 30  # no frame is as large: a wrong length must not take the memory
 DRAIN_READS = 64  # of what an earlier program left unread
+CLOSED_MEANWHILE = (AttributeError, KeyError, TypeError, ValueError)
+"""What pyusb lets out when another thread closes the device during a call: its handle is None then, and its lists of
+claimed interfaces and endpoints are empty."""
 
 
 class UsbPipe:
@@ -52,6 +55,7 @@ class UsbPipe:
         if interface is None:
             raise TransportError("is no still-image device; set the camera's USB mode to PTP", device=device)
         self._number: int = interface.bInterfaceNumber
+        self._is_closed = False
         with self._faults("being claimed"):
             # not every system has such drivers; claiming shows the rest
             with suppress(NotImplementedError, usb.core.USBError):
@@ -69,11 +73,19 @@ class UsbPipe:
         self._left_over = bytearray()
 
     def close(self) -> None:
-        """Release the interface; harmless when the camera is gone."""
-        with suppress(usb.core.USBError):  # the camera has been unplugged
+        """Release the interface; harmless when the camera is gone. What another thread waits for ends with an error."""
+        self._is_closed = True
+        self._release()
+
+    def _release(self) -> None:
+        with suppress(usb.core.USBError, *CLOSED_MEANWHILE):  # the camera has been unplugged
             usb.util.release_interface(self._usb, self._number)
-        with suppress(usb.core.USBError):
+        with suppress(usb.core.USBError, *CLOSED_MEANWHILE):
             usb.util.dispose_resources(self._usb)
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise TransportError("connection was closed by another call; connect again", device=self.device)
 
     def send(self, container: bytes, timeout_s: float) -> None:
         """Write one container, ended by a zero-length packet where its size is a multiple of the packet's."""
@@ -130,6 +142,7 @@ class UsbPipe:
         """Go on until a transfer brings less than was asked for: a short packet, or an empty one, ended it."""
         ended = len(data) % self._packet != 0
         while not ended:
+            self._check_open()
             chunk = self._in_read(BIGGEST_READ, deadline)
             data += chunk
             ended = len(chunk) < BIGGEST_READ
@@ -158,6 +171,7 @@ class UsbPipe:
     def read_interrupt(self, timeout_s: float) -> bytes | None:
         """One packet of the interrupt endpoint; None when none came, empty endpoint included."""
         if self._interrupt is None:
+            self._check_open()
             time.sleep(timeout_s)
             return None
         with self._faults("signalling"):
@@ -179,6 +193,7 @@ class UsbPipe:
             self._drain()
             deadline = time.monotonic() + timeout_s
             while time.monotonic() < deadline and self._status() == 0x2019:
+                self._check_open()
                 time.sleep(0.05)
 
     def reset(self, timeout_s: float) -> None:
@@ -197,6 +212,7 @@ class UsbPipe:
     def _drain(self) -> None:
         self._left_over.clear()
         for _ in range(DRAIN_READS):
+            self._check_open()
             try:
                 self._in.read(BIGGEST_READ, 50)
             except usb.core.USBTimeoutError:  # nothing is left to read
@@ -208,6 +224,7 @@ class UsbPipe:
 
     @contextmanager
     def _faults(self, doing: str) -> Iterator[None]:
+        self._check_open()
         try:
             yield
         except usb.core.USBTimeoutError as exc:
@@ -216,6 +233,13 @@ class UsbPipe:
             ) from exc
         except usb.core.USBError as exc:
             raise TransportError(f"{_reason(exc)} while {doing}", device=self.device) from exc
+        except CLOSED_MEANWHILE as exc:
+            raise TransportError(
+                f"connection lost while {doing} ({type(exc).__name__}: {exc}); connect again", device=self.device
+            ) from exc
+        finally:
+            if self._is_closed:  # pyusb claims an interface anew for each transfer: it would keep the next pipe out
+                self._release()
 
 
 def still_image_interface(found: Any) -> Any | None:
@@ -225,7 +249,7 @@ def still_image_interface(found: Any) -> Any | None:
             for interface in configuration:
                 if interface.bInterfaceClass == STILL_IMAGE:
                     return interface
-    except usb.core.USBError:
+    except (usb.core.USBError, *CLOSED_MEANWHILE):
         return None
     return None
 

@@ -31,7 +31,11 @@ amplitude_mm = 0.5
 exposure_s = 0.25
 settle = {{ timeout_s = 0.5 }}
 """
-PATIENCE_S = 120.0  # for what takes seconds on an idle machine
+PATIENCE_S = 300.0  # for what takes seconds on an idle machine
+
+
+class NotInTime(LabdaemonError):
+    """What a bench waits for did not happen."""
 
 
 class Subject(DaemonUnderTest):
@@ -79,19 +83,43 @@ class Subject(DaemonUnderTest):
 
     def keep_moving(self) -> None:
         """Submit a campaign if there is none, and wait until the table moves."""
-        wait_for(lambda: self.keep_busy() and self.rig.table()["moving"])
+        self.wait_until("the table moves", lambda: self.keep_busy() and self.rig.table()["moving"])
 
     def finish(self) -> CampaignVerdict:
         """Let the last campaign complete, end the daemon, and judge what is on disk."""
-        wait_for(lambda: self.ask("status")["campaign"] is None)
+        self.wait_until("its campaign has ended", self.is_idle)
         self.end()
         on_cards = sum(len(files) for files in self.rig.control.ask("cards").values())
         taken = len(self.rig.truth())
         return judge(self.data, taken=taken, on_cards=on_cards, captures=STEPS * self.campaigns, has_files=False)
 
-    def keep_busy(self) -> bool:
-        """Submit a campaign if there is none, resume one that paused; always true."""
+    def wait_until(self, what: str, condition: Callable[[], bool]) -> None:
+        """Wait for something of the daemon.
+
+        Raises
+        ------
+        LabdaemonError
+            It did not come true in time; the message says what the daemon reports instead, and how its log ends.
+        """
+        try:
+            wait_for(condition)
+        except NotInTime as exc:
+            try:
+                state = str(self.ask("status"))
+            except LabdaemonError as silence:
+                state = str(silence)
+            raise LabdaemonError(f"{what}: {exc}; status: {state}; log: {self.log_tail()}") from None
+
+    def is_idle(self) -> bool:
+        """Whether it has nothing left to do. While it starts it does not know yet what an earlier one left."""
         status = self.ask("status")
+        return status["state"] == "idle" and status["campaign"] is None and not status["queue"]
+
+    def keep_busy(self) -> bool:
+        """Submit a campaign if there is none, resume one that paused; false while it starts."""
+        status = self.ask("status")
+        if status["state"] == "starting":
+            return False
         if status["campaign"] is None and not status["queue"]:
             self.ask("campaign.submit", toml=CAMPAIGN)
             self.campaigns += 1
@@ -128,11 +156,11 @@ def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> No
 
     Raises
     ------
-    LabdaemonError
-        It did not in time.
+    NotInTime
+        It did not.
     """
     end = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > end:
-            raise LabdaemonError(f"what the bench waits for did not happen within {timeout_s:g} s")
+            raise NotInTime(f"did not happen within {timeout_s:g} s")
         time.sleep(0.02)
