@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import qr
 
 from labdaemon.analysis.campaign_response import CampaignResponse, read_campaign
 from labdaemon.findings import (
+    ModalFit,
     Mode,
     ModeSearch,
     Transmissibility,
@@ -21,6 +23,9 @@ from labdaemon.findings import (
 from labdaemon.findings.modal_state import ModalState, state_of
 from labdaemon.findings.mode_shape import ModeShape, ShapePoint, antinodes, nodes, section_motions, share_along
 from labdaemon.findings.propagation import Estimate
+
+LEAST_TARGETS = 6
+"""Targets that are fitted however many steps there are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +93,8 @@ class CampaignModes:
         Frequency of the step that would give most information on the poles; None without modes.
     notes
         Why there are no more modes, and what was left out.
+    fit
+        The fitted model, for its curves; None without modes.
     """
 
     targets: tuple[str, ...]
@@ -95,6 +102,7 @@ class CampaignModes:
     transmissibility: Transmissibility
     next_hz: float | None
     notes: tuple[str, ...]
+    fit: ModalFit | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The object that `labdaemon modes --json` prints."""
@@ -106,22 +114,50 @@ class CampaignModes:
         }
 
 
-def campaign_modes(folder: Path) -> CampaignModes:
+def campaign_modes(folder: Path, results: Path | None = None, *, most_readings: int | None = None) -> CampaignModes:
     """Find the modes in a data-set folder's results.
+
+    Parameters
+    ----------
+    folder, results
+        As in `read_campaign`.
+    most_readings
+        Steps times targets up to which all targets are fitted: the time of the search grows with them. Beyond, a note
+        says how many are fitted: those that differ most from each other. None: all.
 
     Raises
     ------
     DataError, ConfigError
         The folder has no usable envelopes; the message names it.
     """
-    campaign = read_campaign(folder)
-    found, ratio = find_modes(campaign.series), transmissibility_of(campaign.series)
-    notes = (*campaign.notes, *found.reasons)
+    campaign = read_campaign(folder, results)
+    ratio = transmissibility_of(campaign.series)
+    fitted = campaign if most_readings is None else _most_different(campaign, most_readings)
+    found = find_modes(fitted.series)
+    notes = (*fitted.notes, *found.reasons)
     if found.fit is None or not found.modes:
-        return CampaignModes(campaign.series.targets, (), ratio, None, notes)
-    state = state_of(found.fit, campaign.positions_mm, campaign.series.targets)
+        return CampaignModes(fitted.series.targets, (), ratio, None, notes)
+    state = state_of(found.fit, fitted.positions_mm, fitted.series.targets)
     reports = tuple(_report(state, index, mode) for index, mode in enumerate(found.modes))
-    return CampaignModes(campaign.series.targets, reports, ratio, _next(campaign, found), notes)
+    return CampaignModes(fitted.series.targets, reports, ratio, _next(fitted, found), notes, found.fit)
+
+
+def _most_different(campaign: CampaignResponse, most_readings: int) -> CampaignResponse:
+    """The campaign with so many targets that steps times targets stay below a number, but at least `LEAST_TARGETS`."""
+    series = campaign.series
+    total, count = len(series.targets), max(most_readings // series.steps, LEAST_TARGETS)
+    if count >= total:
+        return campaign
+    size = np.sqrt(np.nansum(np.abs(series.amplitude) ** 2, axis=2)) / series.table_mm[:, None]
+    _, order = qr(size, mode="r", pivoting=True)  # each next column is the one furthest from those before
+    chosen = np.sort(order[:count])
+    note = f"the {count} of {total} targets that differ most were fitted; `labdaemon modes` fits all"
+    return replace(
+        campaign,
+        series=series.with_targets(chosen),
+        positions_mm=campaign.positions_mm[chosen],
+        notes=(*campaign.notes, note),
+    )
 
 
 def _report(state: ModalState, index: int, mode: Mode) -> ModeReport:

@@ -51,8 +51,15 @@ class CampaignResponse:
     notes: tuple[str, ...]
 
 
-def read_campaign(folder: Path) -> CampaignResponse:
+def read_campaign(folder: Path, results: Path | None = None) -> CampaignResponse:
     """Read the envelopes of a data-set folder.
+
+    Parameters
+    ----------
+    folder
+        The data-set folder.
+    results
+        Where its result files are; FOLDER/results by default.
 
     Raises
     ------
@@ -61,7 +68,7 @@ def read_campaign(folder: Path) -> CampaignResponse:
     ConfigError
         A capture.toml is wrong.
     """
-    path = folder / RESULTS / "envelope.csv"
+    path = (results or folder / RESULTS) / "envelope.csv"
     if not path.is_file() and (folder / "envelope.csv").is_file():
         path = folder / "envelope.csv"
     if not path.is_file():

@@ -22,6 +22,7 @@ from labdaemon.report.figures import envelope_svg, errors_svg
 from labdaemon.report.gauge_comparison import GaugeComparison
 from labdaemon.report.page_tables import PageGrid, amplitude_chart, flagged_table, gauge_tables, number_text
 from labdaemon.report.provenance import Provenance
+from labdaemon.report.resonance_section import ResonanceSection
 from labdaemon.report.space_view import SpaceCapture, space_json
 from labdaemon.report.uncertainty_budget import budget
 
@@ -90,10 +91,13 @@ class PageSupplement:
         What each gauge saw, with the image results that it can be compared with.
     provenance
         None where it is not known.
+    resonances
+        Modes and the curves of the fitted model; None where too few frequencies were excited to look for any.
     """
 
     gauges: Sequence[GaugeComparison] = ()
     provenance: Provenance | None = None
+    resonances: ResonanceSection | None = None
 
 
 def write_page(
@@ -142,7 +146,8 @@ def page(
             captures=[_capture(capture, is_drawn=len(captures) <= MAX_DRAWN) for capture in captures],
             space=_space(captures),
             script="".join(_environment().get_template(name).render() for name in ("space.js", "report.js")),
-            chart=amplitude_chart(captures),
+            chart=amplitude_chart(captures, more.resonances.curves if more.resonances else None),
+            resonances=more.resonances,
             gauges=gauge_tables(more.gauges),
             budget=budget(rows),
             flagged=flagged_table(captures),

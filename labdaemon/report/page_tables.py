@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from labdaemon.orbit_size import is_doubtful, size_mm
 from labdaemon.report.accuracy import semi_amplitude_sd_mm
-from labdaemon.report.frequency_chart import ChartPoint, frequency_svg
+from labdaemon.report.frequency_chart import ChartPoint, Curve, frequency_svg
 from labdaemon.report.gauge_comparison import GaugeComparison, summarise
 from labdaemon.report.remedies import remedy
 
@@ -55,8 +55,16 @@ def number_text(value: float | None, form: str) -> str:
     return "–" if value is None or math.isnan(value) else format(value, form)
 
 
-def amplitude_chart(captures: Sequence[ExcitedCapture]) -> str | None:
-    """Amplitude over frequency; per amplitude of the table where that is known for all. None for one frequency."""
+def amplitude_chart(captures: Sequence[ExcitedCapture], curves: Mapping[str, Curve] | None = None) -> str | None:
+    """Amplitude over frequency; per amplitude of the table where that is known for all. None for one frequency.
+
+    Parameters
+    ----------
+    captures
+        All of the page.
+    curves
+        Of a fitted model by target, per amplitude of the table; not drawn where an amplitude of the table is unknown.
+    """
     driven = [capture for capture in captures if capture.frequency_hz is not None]
     is_ratio = bool(driven) and all(capture.table_mm for capture in driven)
     targets: dict[str, list[ChartPoint]] = {}
@@ -68,7 +76,7 @@ def amplitude_chart(captures: Sequence[ExcitedCapture]) -> str | None:
                 sd = semi_amplitude_sd_mm(row) or 0.0
                 point = ChartPoint(capture.frequency_hz or 0.0, size / unit, sd / unit)
                 targets.setdefault(str(row["target"]), []).append(point)
-    return frequency_svg(targets, is_ratio=is_ratio)
+    return frequency_svg(targets, is_ratio=is_ratio, curves=curves if is_ratio else None)
 
 
 def flagged_table(captures: Sequence[ExcitedCapture]) -> PageGrid | None:

@@ -67,7 +67,8 @@ def test_the_chart_is_valid_shows_the_largest_and_escapes_names():
     }
     svg = frequency_svg(points, is_ratio=False)
     assert svg is not None
-    titles = [one.text for one in ElementTree.fromstring(svg).iter() if one.tag.endswith("title")]
+    lines = [one for one in ElementTree.fromstring(svg).iter() if one.tag.endswith("polyline")]
+    titles = [line.findtext("title") for line in lines]
     assert len(titles) == MAX_LINES
     assert titles[0] == f"<T{MAX_LINES + 4}>"
     assert "<T0>" not in titles
