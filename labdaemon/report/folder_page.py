@@ -16,7 +16,7 @@ from labdaemon.report.gauge_comparison import read_gauges
 from labdaemon.report.html import CaptureSection, PageImage, PageSupplement, write_page
 from labdaemon.report.overlay import overlay_path
 from labdaemon.report.provenance import provenance
-from labdaemon.report.resonance_section import LEAST_FREQUENCIES, resonance_section
+from labdaemon.report.resonance_section import resonance_section
 from labdaemon.tomlfile import read_toml
 
 IMAGE_WIDTH_PX = 760
@@ -96,8 +96,8 @@ def report_folder(
     gauges = read_gauges(results / "gauges.csv", measured, _stands_for(folder))
     page = results / "index.html"
     heading = "; ".join(part for part in (subtitle, _line_note(folder)) if part)
-    excited = {capture.frequency_hz for capture in shown} - {None}
-    resonances = resonance_section(folder, results) if len(excited) >= LEAST_FREQUENCIES else None
+    is_excited = any(capture.frequency_hz is not None for capture in shown)
+    resonances = resonance_section(folder, results) if is_excited else None
     write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder), resonances))
     return page, [one.accuracy for one in shown if one.accuracy is not None]
 

@@ -92,7 +92,7 @@ class PageSupplement:
     provenance
         None where it is not known.
     resonances
-        Modes and the curves of the fitted model; None where too few frequencies were excited to look for any.
+        Transmissibility, modes and the curves of their model; None where no frequency is known.
     """
 
     gauges: Sequence[GaugeComparison] = ()

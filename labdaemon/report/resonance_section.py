@@ -1,4 +1,4 @@
-"""Resonances of the page: a table of the modes, and the curves of the fitted model for the chart."""
+"""Response of the structure on the page: transmissibility of each target, the modes, and the curves of their model."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from labdaemon.analysis.campaign_modes import CampaignModes, campaign_modes
+from labdaemon.analysis.campaign_response import read_campaign
 from labdaemon.errors import ConfigError, DataError
+from labdaemon.findings import Transmissibility, transmissibility_of
 from labdaemon.findings.fitted_response import curve_frequencies, fitted_response
 from labdaemon.orbit_size import semi_major_axis
 from labdaemon.report.frequency_chart import Curve
@@ -27,6 +31,10 @@ class ResonanceSection:
     ----------
     grid
         A line a mode; None where none was found.
+    transmissibility
+        A line a target: its largest amplitude per amplitude of the table; None where that is not known.
+    is_searched
+        Whether there were enough frequencies to look for modes.
     curves
         Modelled amplitude per amplitude of the table over frequency, by target.
     notes
@@ -34,6 +42,8 @@ class ResonanceSection:
     """
 
     grid: PageGrid | None = None
+    transmissibility: PageGrid | None = None
+    is_searched: bool = False
     curves: Mapping[str, Curve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -41,10 +51,27 @@ class ResonanceSection:
 def resonance_section(folder: Path, results: Path) -> ResonanceSection:
     """Look for modes in the results of a data-set folder; the notes say why there are none."""
     try:
+        campaign = read_campaign(folder, results)
+        ratios = _transmissibility(transmissibility_of(campaign.series))
+        if len(set(campaign.series.frequency_hz.tolist())) < LEAST_FREQUENCIES:
+            return ResonanceSection(transmissibility=ratios)
         found = campaign_modes(folder, results, most_readings=MOST_READINGS)
     except (DataError, ConfigError) as exc:
         return ResonanceSection(notes=(str(exc),))
-    return ResonanceSection(_grid(found) if found.modes else None, _curves(found), found.notes)
+    grid = _grid(found) if found.modes else None
+    return ResonanceSection(grid, ratios, is_searched=True, curves=_curves(found), notes=found.notes)
+
+
+def _transmissibility(ratios: Transmissibility) -> PageGrid | None:
+    """The largest of each target; a target without any has no line."""
+    lines = []
+    for place, target in enumerate(ratios.targets):
+        values = ratios.value[:, place]
+        if np.isfinite(values).any():
+            step = int(np.nanargmax(values))
+            number = f"{values[step]:.4f}", f"{ratios.sd[step, place]:.4f}", f"{ratios.frequency_hz[step]:.4f}"
+            lines.append((target, *number))
+    return PageGrid(("target", "largest transmissibility", "sd", "at Hz"), lines) if lines else None
 
 
 def _grid(found: CampaignModes) -> PageGrid:

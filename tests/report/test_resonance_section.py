@@ -42,6 +42,9 @@ def test_curves_are_the_structures_own_response(campaign: Path) -> None:
     section = resonance_section(campaign, campaign / "results")
     assert section.grid is not None
     assert len(section.grid.lines) == 1
+    assert section.transmissibility is not None
+    highest = {line[0]: float(line[1]) for line in section.transmissibility.lines}
+    assert max(highest, key=highest.__getitem__) in {"L3", "R3"}, "the top moves most"
     for place, name in enumerate(NAMES):
         frequency, amplitude = np.array(section.curves[name]).T
         true = np.linalg.norm(STRUCTURE.response(frequency)[:, place], axis=1)
