@@ -12,7 +12,7 @@ from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measure
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
-from labdaemon.blur.smear.defocus import estimate_target_defocus
+from labdaemon.blur.smear.defocus import estimate_target_defocus, with_anisotropy
 from labdaemon.blur.waveform import MotionWaveform
 
 
@@ -70,12 +70,15 @@ def measure_frame(
         )
 
     dots = [index for index, sharp in enumerate(sharps) if not isinstance(sharp.form, TexturedPatch)]
-    shared = defocus
+    shared: Sequence[Defocus | None] = [defocus] * len(dots)
     if defocus is None:
         # Straight paths: across its path a straight motion leaves the defocus alone to be seen.
-        shared = estimate_target_defocus([one(index, None, curved=False) for index in dots])
-    is_dot = set(dots)
-    return [one(index, shared if index in is_dot else defocus, curved=orbit) for index in range(len(sharps))]
+        estimated = estimate_target_defocus([one(index, None, curved=False) for index in dots])
+        shared = [None] * len(dots) if estimated is None else with_anisotropy(estimated, [sharps[k] for k in dots])
+    blurs: list[Defocus | None] = [defocus] * len(sharps)
+    for index, blur in zip(dots, shared, strict=True):
+        blurs[index] = blur
+    return [one(index, blur, curved=orbit) for index, blur in enumerate(blurs)]
 
 
 def measure_displacement(sharp: SharpTarget, later: SharpTarget) -> tuple[FloatArray, FloatArray]:

@@ -175,11 +175,15 @@ class Defocus:
     anisotropy_px2
         Bound of its anisotropy. Without control targets nothing measures it, and a motion whose square is not well
         above this bound counts as rest.
+    sd_anisotropy_px2
+        Standard deviation that it adds to a squared amplitude: more blur along the motion than across it reads as
+        motion, less as a lack of it.
     """
 
     mean_px2: float = 0.0
     sd_px2: float = 0.1
     anisotropy_px2: float = 0.0
+    sd_anisotropy_px2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

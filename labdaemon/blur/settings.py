@@ -155,6 +155,10 @@ class DefocusSettings:
     """Error that all control targets of a frame share (interpolation between the sharp frame's pixels). Trial."""
     min_scatter_px2: float = 0.005
     """Smallest scatter of the moving targets' own values: fewer digits are never known. Trial."""
+    anisotropy_fraction: float = 0.15
+    """Standard deviation of the extra blur's anisotropy, in parts of its bound. Trial, on real frames."""
+    sharpness_frequency: float = 0.15
+    """Spatial frequency, cycles per pixel, at which lens blurs are compared: where a dot's edge shows."""
 
 
 @dataclass(frozen=True, slots=True)

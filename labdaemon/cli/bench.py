@@ -13,7 +13,18 @@ from labdaemon.errors import UsageError
 
 ELSEWHERE = {
     name: f"labdaemon.bench.{name}:command"
-    for name in ("soak", "kill", "faults", "interlock", "findings", "search", "textures", "harmonics", "planned")
+    for name in (
+        "soak",
+        "kill",
+        "faults",
+        "interlock",
+        "findings",
+        "search",
+        "textures",
+        "harmonics",
+        "planned",
+        "real",
+    )
 } | {name: f"labdaemon.bench.{name}.command:command" for name in ("world", "stream")}
 """Subcommands defined in the benches' own modules; imported only when called."""
 

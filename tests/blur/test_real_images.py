@@ -43,6 +43,9 @@ def test_real_frame(shared_data):
         here = error[floor == one]
         assert abs(np.median(here)) <= 0.03
         assert 1.48 * np.median(np.abs(here - np.median(here))) <= 0.05
+    pulls = (error / [m.sd_px for m in found])[floor > 0]
+    assert 0.6 <= np.sqrt(np.mean(pulls**2)) <= 1.3
+    assert np.abs(pulls).max() <= 3.0
     for one in np.flatnonzero(floor == 0):
         assert Flag.AT_REST in found[one].flags or error[one] + rows[one]["semi_amplitude_px"] <= 0.3
 

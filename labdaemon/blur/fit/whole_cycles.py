@@ -17,6 +17,7 @@ from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
 from labdaemon.blur.smear.gls import gls_refine
 from labdaemon.blur.smear.uncertainty import (
+    anisotropy_covariance,
     covariance_at_rest,
     quality_flags,
     robust_covariance,
@@ -76,6 +77,7 @@ def measure_whole_cycles(
     flags |= saturation_flags(problem.planes, min(sd_along, np.sqrt(axes.sd_px2[0])), size)
     # The amplitude shows by its square: it is seen when that exceeds three of its own standard deviations.
     rest = axes.values_px2[0] < UNCERTAINTY.rest_sds * axes.sd_px2[0]
+    covariance[2:4, 2:4] += anisotropy_covariance(a, blur.sd_anisotropy_px2)
     limit = float(np.hypot(2 * size * sd_along, max(blur.anisotropy_px2, 0.0)))
     if rest or size**2 < UNCERTAINTY.rest_sds * limit:
         flags.add(Flag.AT_REST)

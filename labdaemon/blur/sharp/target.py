@@ -50,6 +50,13 @@ class LensPsf:
         ]
         return max(passed) > 0.06
 
+    def equivalent_variance_px2(self, frequency: float) -> float:
+        """Variance of the Gaussian that passes as much at a frequency (cycles per pixel); mean of the channels, px²."""
+        at = np.array([frequency])
+        passed = [float(closed_form.diffraction_transfer(at, float(w))[0]) for w in self.width_px]
+        diffraction = -np.log(np.maximum(passed, 1e-3)) / (2 * np.pi**2 * frequency**2)
+        return float(np.mean(self.variance_px2 + diffraction))
+
     def channel_rows(self, channel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Which row belongs to each of `channel`."""
         order = {int(number): row for row, number in enumerate(self.channel)}

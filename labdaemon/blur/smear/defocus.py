@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labdaemon.blur.motion import Defocus, Measurement, StaticMeasurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import DEFOCUS
-from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
@@ -60,6 +61,40 @@ def estimate_target_defocus(measurements: Sequence[Measurement]) -> Defocus | No
     mean, _, scatter = _robust_mean(value, np.full(len(value), max(float(np.var(value)), 1e-6)))
     scatter = max(scatter, DEFOCUS.min_scatter_px2)
     return Defocus(mean, scatter, 2 * float(np.hypot(mean, scatter)))
+
+
+def with_anisotropy(shared: Defocus, sharps: Sequence[SharpTarget]) -> list[Defocus]:
+    """A frame's extra blur with what its anisotropy may add to each target's squared amplitude.
+
+    A change of focus by δ adds m = kδ² to the variance of a dot in focus, but up to m + 2·sqrt(m·e) to one whose own
+    defocus is e already. An astigmatic lens does not defocus equally along both axes.
+
+    Parameters
+    ----------
+    shared
+        From `estimate_target_defocus`.
+    sharps
+        Targets of the frame; their defocus is counted from the sharpest of the dots.
+
+    Returns
+    -------
+    list of Defocus
+        One for each target.
+    """
+    blur = np.array([_lens_variance(sharp) for sharp in sharps])
+    known = np.isfinite(blur)
+    own = np.where(known, blur - (np.min(blur[known]) if known.any() else 0.0), 0.0)
+    seen = max(abs(shared.mean_px2) - shared.sd_px2, 0.0)
+    first_order = 4 * np.sqrt(seen * own)
+    sd = DEFOCUS.anisotropy_fraction * np.hypot(shared.anisotropy_px2, first_order)
+    return [replace(shared, sd_anisotropy_px2=float(one)) for one in sd]
+
+
+def _lens_variance(sharp: SharpTarget) -> float:
+    """Lens blur of a dot, px²; NaN where it is not known."""
+    if not (sharp.usable and isinstance(sharp.form, EllipseShape)):
+        return float("nan")
+    return sharp.form.lens.equivalent_variance_px2(DEFOCUS.sharpness_frequency)
 
 
 def _robust_mean(value: FloatArray, variance: FloatArray) -> tuple[float, float, float]:
