@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from labdaemon.blur.defocus_settings import DEFOCUS
 from labdaemon.blur.motion import Defocus, Measurement, StaticMeasurement
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.settings import DEFOCUS
 from labdaemon.blur.sharp.target import EllipseShape, SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.errors import DataError

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from labdaemon.blur.defocus_settings import DEFOCUS
 from labdaemon.blur.motion import Defocus, Measurement, StaticMeasurement
 from labdaemon.blur.patch.pixels import NoiseModel
-from labdaemon.blur.settings import DEFOCUS
 from labdaemon.blur.sharp.target import EllipseShape, LensPsf, SharpTarget
 from labdaemon.blur.smear.defocus import estimate_frame_defocus, estimate_target_defocus, with_anisotropy
 from labdaemon.blur.smear.uncertainty import anisotropy_covariance
