@@ -48,7 +48,7 @@ def magnification(places_mm: Sequence[Sequence[float]], amplitudes_mm: Sequence[
     largest = max(amplitudes_mm, default=0.0)
     if largest <= 0 or size <= 0:
         return 1.0
-    return _round_down(READABLE_SHARE * size / largest)
+    return round_down(READABLE_SHARE * size / largest)
 
 
 def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) -> str:
@@ -204,7 +204,7 @@ def _legend(left: float, top: float, largest: float, motion_scale: float) -> lis
         svg_text(left + 18, top + 26 + offset * 114, f"{value:.3g}", "start")
         for offset, value in ((0.0, largest), (0.5, largest / 2), (1.0, 0.0))
     ]
-    unit = _round_down(40 / motion_scale)
+    unit = round_down(40 / motion_scale)
     length, y = unit * motion_scale, top + 180
     parts.append(
         f'<path class="bar-of-motion" stroke="var(--ink)" fill="none" '
@@ -276,12 +276,12 @@ def svg_text(x: float, y: float, text: str, anchor: str, *, turn: bool = False) 
 
 def axis_ticks(low: float, high: float, about: float) -> list[float]:
     """Round values between two ends, roughly `about` of them."""
-    step = _round_down((high - low) / max(about, 1.0)) or 1.0
+    step = round_down((high - low) / max(about, 1.0)) or 1.0
     first = math.ceil(low / step - 1e-9)
     return [round(place * step, 12) + 0.0 for place in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def _round_down(value: float) -> float:
+def round_down(value: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is not above the value."""
     if value <= 0:
         return 0.0

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -15,27 +16,39 @@ from numpy.typing import NDArray
 
 from labdaemon.durable import write_durably
 from labdaemon.imaging import Grey, read_frame
-from labdaemon.orbit_size import semi_major_axis
+from labdaemon.orbit_size import semi_major_axis, size_mm
 from labdaemon.processing import FolderResult, Row
+from labdaemon.report.figures import round_down
+from labdaemon.report.label_places import LabelPlacer
 
-MAGNIFICATION = 20.0  # 0.1 mm shows as 2 mm
+READABLE_SHARE = 0.11
+"""Share of the image's longest side that the largest semi-amplitude fills at most; at 20 times, as in the paper, 1 m
+away with a 24 mm lens, that is 5 mm."""
+LARGEST_MAGNIFICATION = 1000.0
+"""Beyond it only noise would be drawn."""
 WIDEST_PX = 1800
 """Longest side of the image for the screen, px; the vectors' places scale with it."""
 
 Colour = tuple[int, int, int]
 Image = NDArray[np.uint8]
 
-# Colours that differ in lightness too, so that they differ on a grey print, too (blue, green, red).
-CLEAN: Colour = (60, 220, 90)
-FLAGGED: Colour = (40, 170, 255)
-RESTING: Colour = (230, 190, 70)
-LOST: Colour = (60, 60, 255)
+# Blue, green, red. Blue against orange differs for all kinds of colour vision; what is flagged has a "?" as well, and
+# what was not measured is a cross.
+CLEAN: Colour = (255, 200, 86)
+FLAGGED: Colour = (0, 160, 255)
+RESTING: Colour = (66, 228, 240)
+LOST: Colour = (20, 80, 230)
 COLOURS: dict[str, Colour] = {"clean": CLEAN, "at rest": RESTING, "flagged": FLAGGED, "not measured": LOST}
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw_overlay(
-    grey: Grey, rows: Sequence[Row], *, title: str, lengths_mm: Mapping[str, float] | None = None
+    grey: Grey,
+    rows: Sequence[Row],
+    *,
+    title: str,
+    lengths_mm: Mapping[str, float] | None = None,
+    magnify: float | None = None,
 ) -> Image:
     """Draw the measurements of one frame over it.
 
@@ -49,6 +62,8 @@ def draw_overlay(
         Written along the top.
     lengths_mm
         Amplitude of each target in millimetres, written next to it where known, else pixels.
+    magnify
+        Of the vectors; one at which the largest is readable where it is not given.
 
     Returns
     -------
@@ -56,28 +71,36 @@ def draw_overlay(
         (h', w', 3) 8-bit image, blue, green, red.
     """
     scale = min(1.0, WIDEST_PX / max(grey.shape))
+    factor = readable_magnification(rows, max(grey.shape)) if magnify is None else magnify
     image = _backdrop(grey, scale)
     unit = max(image.shape[:2]) / 1000
-    for row in rows:
-        centre = _pair(row, "x_px", "y_px")
-        if centre is None:
-            continue
-        colour = COLOURS[_kind(row)]
-        a, b = _pair(row, "ax_px", "ay_px"), _pair(row, "bx_px", "by_px")
-        at = (centre + 0.5) * scale - 0.5
-        if a is None:
-            cv2.drawMarker(image, _point(at), LOST, cv2.MARKER_TILTED_CROSS, round(14 * unit), _thick(unit))
-            continue
-        b = np.zeros(2) if b is None else b
-        _draw_motion(image, at, a * scale * MAGNIFICATION, b * scale * MAGNIFICATION, colour, unit)
-        target = str(row["target"])
-        length = None if lengths_mm is None else lengths_mm.get(target)
-        text = (
-            f"{target} {semi_major_axis(a.tolist(), b.tolist()):.2f} px" if length is None else f"{target} {length:.2f}"
-        )
-        _write(image, text, at + np.array([6, 16]) * unit, 0.42 * unit)
-    _caption(image, title, rows, unit, has_mm=lengths_mm is not None)
+    drawn = [_DrawnMotion.of(row, scale, factor, lengths_mm) for row in rows if _pair(row, "x_px", "y_px") is not None]
+    for motion in drawn:
+        motion.draw(image, unit)
+    everything = [motion.points(unit) for motion in drawn]
+    placer = LabelPlacer(image.shape[1::-1], 46 * unit, np.concatenate([np.empty((0, 2)), *everything]))
+    for motion in drawn:
+        motion.label(image, unit, placer)
+    amplitude = "semi-amplitude in mm" if lengths_mm is not None else "semi-amplitude in px"
+    _caption(image, f"{title}   vectors x {factor:g}, {amplitude}", rows, unit)
     return image
+
+
+def readable_magnification(rows: Sequence[Row], longest_px: float) -> float:
+    """A round factor at which the largest motion without a doubt is readable; 1 where nothing moves.
+
+    Parameters
+    ----------
+    rows
+        Of `measurements.csv`.
+    longest_px
+        Longest side of the frame.
+    """
+    sizes = {kind: [size for row in rows if _kind(row) == kind and (size := _size_px(row))] for kind in COLOURS}
+    largest = max(sizes["clean"] or sizes["flagged"] or sizes["at rest"], default=0.0)
+    if largest <= 0:
+        return 1.0
+    return min(max(round_down(READABLE_SHARE * longest_px / largest), 1.0), LARGEST_MAGNIFICATION)
 
 
 def write_overlay(
@@ -115,9 +138,7 @@ def write_overlays(folder: Path, result: FolderResult, submit: Callable[..., Fut
     """
     tasks = []
     for capture in result.captures:
-        lengths = {
-            str(row["target"]): length for row in capture.envelope_rows if (length := _length_mm(row)) is not None
-        }
+        lengths = {str(row["target"]): length for row in capture.envelope_rows if (length := size_mm(row)) is not None}
         for camera, frame in capture.frames:
             rows = [row for row in capture.measurement_rows if row["camera"] == camera]
             title = f"{capture.name}  {camera}"
@@ -135,15 +156,6 @@ def _kind(row: Row) -> str:
     return "flagged" if row["flags"] else "clean"
 
 
-def _length_mm(row: Row) -> float | None:
-    """Major semi-axis of an envelope row's orbit."""
-    values = [row[f"{axis}{k}_mm"] for axis in "ab" for k in "xyz"]
-    if any(not isinstance(value, float) for value in values):
-        return None
-    a, b = np.array(values[:3], dtype=float), np.array(values[3:], dtype=float)
-    return float(np.linalg.svd(np.stack([a, b]), compute_uv=False)[0])
-
-
 def _backdrop(grey: Grey, scale: float) -> Image:
     """The frame as one would see it: brightest paper white, tone curve of a screen, a little dimmed."""
     size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
@@ -158,19 +170,83 @@ def _pair(row: Row, x: str, y: str) -> NDArray[np.float64] | None:
     return np.array(values, dtype=float) if all(isinstance(value, float) for value in values) else None
 
 
-def _draw_motion(
-    image: Image, at: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64], colour: Colour, unit: float
-) -> None:
-    if math.hypot(*b) > 2 * unit:
-        phase = np.linspace(0, 2 * np.pi, 73)
-        path = at + np.outer(np.sin(phase), a) + np.outer(np.cos(phase), b)
-        for width, ink in ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour)):
-            cv2.polylines(image, [np.rint(path).astype(np.int32)], True, ink, width, cv2.LINE_AA)
-    tip = min(0.3, 9 * unit / max(math.hypot(*a), 1e-9))
-    for width, ink in ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour)):
-        for end in (at + a, at - a):
-            cv2.arrowedLine(image, _point(at), _point(end), ink, width, cv2.LINE_AA, 0, tip)
-    cv2.circle(image, _point(at), max(2, round(2.2 * unit)), colour, -1, cv2.LINE_AA)
+@dataclass(frozen=True, slots=True, eq=False)
+class _DrawnMotion:
+    """A target in pixels of the drawing: (2,) mean position, semi-axes magnified, and the major one as it is."""
+
+    at: NDArray[np.float64]
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    blur: NDArray[np.float64]
+    kind: str
+    text: str
+
+    @classmethod
+    def of(cls, row: Row, scale: float, magnify: float, lengths_mm: Mapping[str, float] | None) -> _DrawnMotion:
+        centre, kind, target = _pair(row, "x_px", "y_px"), _kind(row), str(row["target"])
+        assert centre is not None
+        at, rest = (centre + 0.5) * scale - 0.5, np.zeros(2)
+        a, b = _pair(row, "ax_px", "ay_px"), _pair(row, "bx_px", "by_px")
+        if a is None:
+            return cls(at, rest, rest, rest, kind, target)
+        b = rest if b is None else b
+        length = None if lengths_mm is None else lengths_mm.get(target)
+        size = f"{semi_major_axis(a.tolist(), b.tolist()):.2f} px" if length is None else f"{length:.2f}"
+        text = f"{target} {size}" + (" ?" if kind == "flagged" else "")
+        return cls(at, a * scale * magnify, b * scale * magnify, a * scale, kind, text)
+
+    def draw(self, image: Image, unit: float) -> None:
+        colour = COLOURS[self.kind]
+        if self.kind == "not measured":
+            cv2.drawMarker(image, _point(self.at), LOST, cv2.MARKER_TILTED_CROSS, round(14 * unit), _thick(unit))
+            return
+        inks = ((_thick(unit) + 2, (0, 0, 0)), (_thick(unit), colour))
+        if math.hypot(*self.b) > 2 * unit:
+            phase = np.linspace(0, 2 * np.pi, 73)
+            path = self.at + np.outer(np.sin(phase), self.a) + np.outer(np.cos(phase), self.b)
+            for width, ink in inks:
+                cv2.polylines(image, [np.rint(path).astype(np.int32)], True, ink, width, cv2.LINE_AA)
+        tip = min(0.3, 9 * unit / max(math.hypot(*self.a), 1e-9))
+        for width, ink in inks:
+            for end in (self.at + self.a, self.at - self.a):
+                cv2.arrowedLine(image, _point(self.at), _point(end), ink, width, cv2.LINE_AA, 0, tip)
+        cv2.circle(image, _point(self.at), max(2, round(2.2 * unit)), colour, -1, cv2.LINE_AA)
+
+    def points(self, unit: float) -> NDArray[np.float64]:
+        """(n, 2) points that no name should cover: the blur and its surroundings, vector, orbit."""
+        phase = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        around = np.column_stack([np.cos(phase), np.sin(phase)]) * 8 * unit
+        blur = np.concatenate([self.at + end * self.blur + ring for end in (-1, 0, 1) for ring in (around, around / 2)])
+        vector = self.at + np.outer(np.linspace(-1, 1, 41), self.a)
+        orbit = self.at + np.outer(np.sin(phase), self.a) + np.outer(np.cos(phase), self.b)
+        return np.concatenate([blur, vector, orbit])
+
+    def label(self, image: Image, unit: float, placer: LabelPlacer) -> None:
+        """Write the name where it covers least: beyond the vector's ends, else above or below the blur."""
+        if self.kind == "not measured":
+            return
+        size = 0.42 * unit
+        width, height = _text_size(self.text, size)
+        right = self.a if self.a[0] >= 0 else -self.a
+        gap, half = 6 * unit, height / 2
+        ends = [
+            (self.at[0] + right[0] + gap, self.at[1] + right[1] - half),
+            (self.at[0] - right[0] - gap - width, self.at[1] - right[1] - half),
+        ]
+        reach = max(abs(self.blur[1]), abs(self.a[1]), abs(self.b[1])) + 10 * unit
+        sides = [
+            (self.at[0] + dx, self.at[1] + dy)
+            for dx in (-width / 2, 12 * unit, -12 * unit - width)
+            for dy in (reach, -reach - height)
+        ]
+        corner = placer.place([*ends, *sides], width, height)
+        _write(image, self.text, np.array([corner[0], corner[1] + height]), size)
+
+
+def _size_px(row: Row) -> float:
+    """Semi-major axis, px; 0 where it was not measured."""
+    a, b = _pair(row, "ax_px", "ay_px"), _pair(row, "bx_px", "by_px")
+    return 0.0 if a is None else semi_major_axis(a.tolist(), (np.zeros(2) if b is None else b).tolist())
 
 
 def _point(at: NDArray[np.float64]) -> tuple[int, int]:
@@ -180,6 +256,11 @@ def _point(at: NDArray[np.float64]) -> tuple[int, int]:
 
 def _thick(unit: float) -> int:
     return max(1, round(1.4 * unit))
+
+
+def _text_size(text: str, size: float) -> tuple[int, int]:
+    (width, height), _ = cv2.getTextSize(text, _FONT, max(size, 0.35), 1)
+    return int(width), int(height)
 
 
 def _write(image: Image, text: str, at: NDArray[np.float64], size: float, colour: Colour = (255, 255, 255)) -> int:
@@ -193,12 +274,11 @@ def _write(image: Image, text: str, at: NDArray[np.float64], size: float, colour
     return int(width)
 
 
-def _caption(image: Image, title: str, rows: Sequence[Row], unit: float, *, has_mm: bool) -> None:
+def _caption(image: Image, title: str, rows: Sequence[Row], unit: float) -> None:
     """Title, and what the colours mean with how many there are of each, on a band of their own along the top."""
     band = round(46 * unit)
     image[:band] = image[:band] // 4
-    amplitude = "semi-amplitude in mm" if has_mm else "semi-amplitude in px"
-    _write(image, f"{title}   vectors x {MAGNIFICATION:.0f}, {amplitude}", np.array([10, 18]) * unit, 0.55 * unit)
+    _write(image, title, np.array([10, 18]) * unit, 0.55 * unit)
     counts = Counter(_kind(row) for row in rows)
     x = 10.0 * unit
     for kind, colour in COLOURS.items():
