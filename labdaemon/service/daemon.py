@@ -29,6 +29,7 @@ from labdaemon.service.config import RigConfig
 from labdaemon.service.deferred_commands import DeferredCommands
 from labdaemon.service.devices import build_rig, connect_stop_actuators
 from labdaemon.service.doors import Doors, open_doors
+from labdaemon.service.free_memory import give_memory_back
 from labdaemon.service.guardian_context import guarded_table, wait_for_guardian
 from labdaemon.service.guardian_supervisor import GuardianSupervisor
 from labdaemon.service.presence import PresenceNote
@@ -227,6 +228,8 @@ async def _serve_commands(context: TableContext, lock: ShakerLock | None, end: a
         if doors.access is not None:
             follow = partial(doors.access.run, context.clock)
             start.parts.append(asyncio.create_task(supervise("list of clients", follow, context.clock)))
+        give_back = partial(give_memory_back, context.clock)
+        start.parts.append(asyncio.create_task(supervise("free memory", give_back, context.clock)))
         start.parts.append(asyncio.create_task(feed(context.clock, start.checks, log_stalled)))
         notify(f"READY=1\nSTATUS=commands on {commands.address}")
         return await _open_data(context, start, deferred, commands)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from functools import partial
 from typing import Any
 
@@ -26,6 +26,7 @@ from labdaemon.stream.roles import Role
 from labdaemon.stream.sockets import ANSWERS_HIGH_WATER, ANYBODY, DoorPolicy, bind
 from labdaemon.stream.text_limits import INLINE_BYTES
 from labdaemon.stream.unread_answers import LARGE_BYTES, UnreadAnswers
+from labdaemon.stream.zmtp import message_cost
 
 ReturnRoute = tuple[bytes, ...]
 """Frames that an answer begins with: the client's identity, and a REQ's delimiter."""
@@ -131,11 +132,13 @@ class CommandServer:
         route = tuple(parts[:2] if len(parts) > 2 and not parts[1] else parts[:1])
         body = parts[len(route) :]
         sender = self._gate.note_received(frames[-1]) if self._gate is not None else None
+        done = partial(self._gate.note_done, message_cost(frames[1:])) if self._gate is not None else int
+        if len(body) == 1 and len(body[0]) > INLINE_BYTES and not self._is_full(route):
+            self._start(route, self._parse_and_answer(route, body.pop(), sender, done))
+            return
+        done()
         if len(body) == 1 and len(body[0]) > INLINE_BYTES:
-            if self._is_full(route):
-                await self._reply(route, messages.error_bytes(messages.BUSY, TOO_MANY, None))
-            else:
-                self._start(route, self._parse_and_answer(route, body[0], sender))
+            await self._reply(route, messages.error_bytes(messages.BUSY, TOO_MANY, None))
             return
         try:
             if len(body) != 1:
@@ -171,13 +174,18 @@ class CommandServer:
         if not task.cancelled() and task.exception() is not None:
             log.error("an answer could not be sent", exc_info=task.exception())
 
-    async def _parse_and_answer(self, route: ReturnRoute, body: bytes, sender: str | None) -> None:
-        """A long request, a campaign most likely: parsed off the event loop."""
+    async def _parse_and_answer(
+        self, route: ReturnRoute, body: bytes, sender: str | None, done: Callable[[], object]
+    ) -> None:
+        """A long request, a campaign most likely: parsed off the event loop; `done` once its bytes are let go."""
         try:
             request = await off_loop(messages.parse_request, body)
         except BadRequestError as exc:
             await self._reply(route, messages.error_bytes(exc.code, str(exc), exc.id))
             return
+        finally:
+            del body
+            done()
         await self._answer(route, request, sender)
 
     async def _answer(self, route: ReturnRoute, request: RpcRequest, sender: str | None) -> None:

@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from itertools import count
 
-from labdaemon.stream.zmtp import PeerInspector, PeerLimits, PeerRefusal
+from labdaemon.stream.long_messages import LongMessages
+from labdaemon.stream.zmtp import LONG_BYTES, PeerInspector, PeerLimits, PeerRefusal
 
 BLOCK_BYTES = 128 << 10
 """Bytes moved at a time: a fraction of a millisecond of the event loop."""
@@ -148,6 +149,8 @@ class PeerConnection:
         Makes a connection to libzmq; raises `OSError` when it cannot.
     on_close
         Called once with this connection and the reason, empty where the peer has simply left.
+    long_messages
+        Shared by all connections of a socket.
     is_encrypted
         Whether the peer has to have a key.
 
@@ -169,10 +172,12 @@ class PeerConnection:
         limits: PeerLimits,
         connect: Callable[[PeerConnection], socket.socket],
         on_close: Callable[[PeerConnection, str], None],
+        long_messages: LongMessages,
         *,
         is_encrypted: bool = False,
     ) -> None:
         self._peer, self._limits, self._connect, self._on_close = peer, limits, connect, on_close
+        self._long_messages = long_messages
         self._is_encrypted = is_encrypted
         self._inspector = PeerInspector(limits, is_encrypted=is_encrypted)
         self.number: int = next(_numbers)
@@ -206,7 +211,13 @@ class PeerConnection:
     def note_received(self) -> None:
         """A whole message of it has come out of libzmq: what was sent before it is no part of an endless one."""
         self._unreceived, self._full_s = 0, None
+        self._long_messages.leave(self)
         self._release("unreceived")
+        self._release("long")
+
+    def go_on(self) -> None:
+        """The rest of its long message may come now."""
+        self._release("long")
 
     def count_topic(self, change: int) -> None:
         """Count a subscription (1) or its end (-1) of an encrypted connection, whose own bytes do not show it."""
@@ -232,6 +243,7 @@ class PeerConnection:
         else:
             self._inner.close()
         self._peer.close()
+        self._long_messages.leave(self)
         self._on_close(self, why)
 
     def _read_signature(self) -> None:
@@ -270,7 +282,7 @@ class PeerConnection:
 
     def _seen(self, data: bytes) -> bytes:
         now_s = time.monotonic()
-        messages = self._inspector.messages
+        messages, long_messages = self._inspector.messages, self._inspector.long_messages
         passed = self._inspector.feed(data)
         self.is_waiting = self.is_waiting or self._inspector.messages > messages
         if self._limits.bytes_per_s is not None:
@@ -285,7 +297,21 @@ class PeerConnection:
             if self._unreceived > UNRECEIVED * self._limits.message_bytes and self._full_s is None:
                 self._full_s = now_s
                 self._hold("unreceived")
+        self._take_turn(self._inspector.long_messages - long_messages)
         return passed
+
+    def _take_turn(self, ended: int) -> None:
+        """Wait where a message becomes long while others are on their way; so many long ones have just ended.
+
+        Of an encrypted connection that is not seen: there bytes are counted until a message has come out of libzmq.
+        """
+        for _ in range(0 if self._is_encrypted else ended):
+            self._long_messages.complete(self)
+        coming = self._unreceived if self._is_encrypted else self._inspector.message_bytes
+        if coming <= LONG_BYTES:
+            self._long_messages.leave(self)
+        elif not self._long_messages.begin(self):
+            self._hold("long")
 
     def _hold(self, why: str) -> None:
         self._holds.add(why)

@@ -22,8 +22,9 @@ import zmq
 
 from labdaemon.stream.curve_door import CurveDoor, sender_of
 from labdaemon.stream.listener import SocketFile, listen, stop_listening
+from labdaemon.stream.long_messages import LongMessages
 from labdaemon.stream.peer_connection import NOT_NOW, PeerConnection
-from labdaemon.stream.zmtp import PeerLimits
+from labdaemon.stream.zmtp import LONG_BYTES, PeerLimits
 
 BACKLOG = 4096
 """Newcomers that wait in the system's queue; it may grant fewer."""
@@ -126,6 +127,8 @@ class PeerGate:
         With the port that was taken.
     refusals
         Connections that were turned away or ended for what they sent.
+    long_messages
+        Bounds what all peers together have on its way in.
     """
 
     def __init__(
@@ -148,6 +151,7 @@ class PeerGate:
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._logged_s = -LOG_EVERY_S
         self.refusals: int = 0
+        self.long_messages: LongMessages = LongMessages()
         self.address: str
         self._listener, self.address = listen(address, BACKLOG, place)
 
@@ -175,6 +179,14 @@ class PeerGate:
         if connection is not None:
             connection.note_received()
         return public
+
+    def note_done(self, cost: int) -> None:
+        """Note that the daemon holds a message no more, of which `message_cost` is given.
+
+        Where nothing is encrypted it is not known whose that was; else `note_received` has noted it.
+        """
+        if self.door is None and cost > LONG_BYTES:
+            self.long_messages.was_taken()
 
     def count_topic(self, frame: zmq.Frame) -> None:
         """Count a subscription, or its end, that came out of libzmq."""
@@ -241,7 +253,9 @@ class PeerGate:
             return
         is_encrypted = self.door is not None
         self._connections.append(
-            PeerConnection(peer, self._limits, self._connect, self._forget, is_encrypted=is_encrypted)
+            PeerConnection(
+                peer, self._limits, self._connect, self._forget, self.long_messages, is_encrypted=is_encrypted
+            )
         )
 
     def _least_missed(self) -> PeerConnection | None:
@@ -284,6 +298,7 @@ class PeerGate:
                 connection.close("it never said hello")
             elif connection.is_endless:
                 connection.close("a message without end")
+        self.long_messages.sweep()
         self._timers["sweep"] = self._loop.call_later(1.0, self._sweep)
 
     def _end_unlisted(self) -> None:

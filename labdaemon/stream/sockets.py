@@ -28,6 +28,8 @@ EVENTS_HIGH_WATER = 1000
 ANSWERS_HIGH_WATER = 128
 """Answers kept for a client that asks and does not read; the next ones are dropped. Far more than a
 client's commands in progress, so that who sends as many at once as are taken gets all its answers."""
+REQUESTS_HIGH_WATER = 4
+"""Messages of one client that wait to be read; its further ones wait in its own system."""
 LINGER_MS = 500
 """How long a closing socket tries to deliver what it still has."""
 
@@ -72,7 +74,7 @@ def bind(
     key
         Of the rig file, for the message.
     high_water
-        Messages kept for each peer.
+        Messages kept for each peer that does not read.
     policy
         Who gets in.
 
@@ -89,7 +91,7 @@ def bind(
     socket = context.socket(kind)
     socket.set(zmq.LINGER, LINGER_MS)
     socket.set(zmq.SNDHWM, high_water)
-    socket.set(zmq.RCVHWM, high_water)
+    socket.set(zmq.RCVHWM, REQUESTS_HIGH_WATER if is_commands else high_water)
     socket.set(zmq.MAXMSGSIZE, MAX_FRAME_BYTES)
     socket.set(zmq.BACKLOG, BACKLOG)
     if is_commands:

@@ -7,12 +7,15 @@ are looked at here. Of an encrypted connection only lengths can be seen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 
 SIGNATURE_BYTES = 10  # of ZMTP: 0xFF, eight bytes, 0x7F
 GREETING_BYTES = 64  # of ZMTP 3, signature included
 MORE, LONG, COMMAND = 1, 2, 4
 """Flags of a frame."""
+LONG_BYTES = 64 << 10
+"""A message beyond this is long: see `labdaemon.stream.long_messages`."""
 FRAME_COST = 64
 """What libzmq keeps for a frame in addition to its bytes."""
 PREFIX_BYTES = 10
@@ -74,6 +77,10 @@ class PeerInspector:
         Its part of the handshake has come.
     messages
         How many have come since.
+    long_messages
+        How many long ones have come; of an encrypted connection that cannot be seen.
+    message_bytes
+        Of the message that is coming, up to the end of the frame that has begun, with `FRAME_COST` for each frame.
     """
 
     def __init__(self, limits: PeerLimits, *, is_encrypted: bool = False) -> None:
@@ -87,7 +94,8 @@ class PeerInspector:
         self._flags = 0
         self._left = 0
         self._prefix = b""
-        self._message_bytes = 0
+        self.message_bytes: int = 0
+        self.long_messages: int = 0
         self._topics = 0
         self._hello = b""
         self._unpassed = GREETING_BYTES
@@ -153,15 +161,16 @@ class PeerInspector:
         longest = self._limits.frame_bytes + CURVE_BYTES * self._is_encrypted if self.is_ready else HANDSHAKE_BYTES
         if self._left > longest:
             raise PeerRefusal(f"a frame of more than {longest} bytes")
-        self._message_bytes += self._left + FRAME_COST
-        if self._message_bytes > self._limits.message_bytes + HANDSHAKE_BYTES:
+        self.message_bytes += self._left + FRAME_COST
+        if self.message_bytes > self._limits.message_bytes + HANDSHAKE_BYTES:
             raise PeerRefusal(f"a message of more than {self._limits.message_bytes} bytes")
         if not self._left:
             self._end_frame()
 
     def _end_frame(self) -> None:
         if not self._flags & MORE:
-            self._message_bytes = 0
+            self.long_messages += self.message_bytes > LONG_BYTES and not self._flags & COMMAND
+            self.message_bytes = 0
         self.messages += self.is_ready and (self._is_encrypted or not self._flags & (MORE | COMMAND))
         if not self.is_ready:
             self.is_ready = self._ends_handshake()
@@ -187,3 +196,8 @@ class PeerInspector:
         self._topics = max(self._topics + change, 0)
         if self._topics > most:
             raise PeerRefusal(f"more than {most} subscriptions")
+
+
+def message_cost(frames: Sequence[Sized]) -> int:
+    """Bytes that a message of these frames is counted as."""
+    return sum(len(frame) + FRAME_COST for frame in frames)

@@ -6,7 +6,7 @@ import random
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 
 import zmq
@@ -64,7 +64,7 @@ def _most_lines_a_minute(served: ServedDaemon) -> int:
 
 def _attack(served: ServedDaemon, source: random.Random, tries: int) -> tuple[Counter[str], float, float]:
     """Send so many; how many of each kind, the slowest status meanwhile, and the growth after the first tenth."""
-    kinds: dict[str, Callable[[ServedDaemon, random.Random], None]] = {
+    kinds: dict[str, Callable[[ServedDaemon, random.Random], int]] = {
         "DEALER": _by_dealer,
         "REQ": _by_req,
         "ZMTP": _by_zmtp,
@@ -72,31 +72,33 @@ def _attack(served: ServedDaemon, source: random.Random, tries: int) -> tuple[Co
         "text": _by_text,
     }
     sent: Counter[str] = Counter()
-    slowest_s, first_mb, grown_mb = 0.0, 0.0, 0.0
+    slowest_s, first_mb, grown_mb, probed = 0.0, 0.0, 0.0, 0
     with Client(served.commands, timeout_s=SILENT_S * 3) as probe:
-        while (count := sum(sent.values())) < tries:
-            for name, send in kinds.items():
-                with suppress(OSError, zmq.ZMQError):  # it was hung up on: that is what is tried
-                    send(served, source)
-                sent[name] += BURST
-            if count % PROBE_EVERY < BURST * len(kinds):
+        while sent.total() < tries:
+            name = min(kinds, key=lambda kind: sent[kind])
+            with suppress(OSError, zmq.ZMQError):  # the daemon has no place for it now
+                sent[name] += kinds[name](served, source)
+            if sent.total() >= probed:
+                probed = sent.total() + PROBE_EVERY
                 began_s = time.monotonic()
                 try:
                     probe.call("status")
                 except LabdaemonError:
                     return sent, float("inf"), grown_mb
                 slowest_s = max(slowest_s, time.monotonic() - began_s)
-                if count >= tries // 10:
+                if sent.total() >= tries // 10:
                     first_mb = first_mb or served.memory_mb()
                     grown_mb = served.memory_mb() - first_mb
     return sent, slowest_s, grown_mb
 
 
-BURST = 50
-"""Messages over one connection."""
+BURST, HTTP_BURST = 50, 5
+"""Messages over one connection, unless the daemon ends it earlier; only what was sent is counted."""
+TAKEN_S = 0.1
+"""A message that is not taken in that time is the connection's last."""
 
 
-def _by_dealer(served: ServedDaemon, source: random.Random) -> None:
+def _by_dealer(served: ServedDaemon, source: random.Random) -> int:
     with zmq.Context() as context, context.socket(zmq.DEALER) as dealer:
         dealer.set(zmq.LINGER, 200)
         dealer.set(zmq.SNDTIMEO, 500)
@@ -105,9 +107,10 @@ def _by_dealer(served: ServedDaemon, source: random.Random) -> None:
             dealer.send_multipart(message(source))
             while dealer.poll(0):
                 dealer.recv_multipart()
+    return BURST
 
 
-def _by_req(served: ServedDaemon, source: random.Random) -> None:
+def _by_req(served: ServedDaemon, source: random.Random) -> int:
     with zmq.Context() as context, context.socket(zmq.REQ) as req:
         req.set(zmq.LINGER, 200)
         req.set(zmq.REQ_RELAXED, 1)
@@ -117,48 +120,75 @@ def _by_req(served: ServedDaemon, source: random.Random) -> None:
             req.send(message(source)[-1])
             if req.poll(20):
                 req.recv_multipart()
+    return BURST
 
 
-def _by_zmtp(served: ServedDaemon, source: random.Random) -> None:
+def _by_zmtp(served: ServedDaemon, source: random.Random) -> int:
     """A right greeting, then frames with right lengths and wrong everything else."""
-    with served.connect(source.choice((served.commands, served.events))) as sock:
-        sock.sendall(GREETING + READY)
-        for _ in range(BURST):
-            body = source.choice((source.randbytes(source.randrange(200)), *message(source)[:1]))[:60_000]
-            flags = source.choice((0, 0, 0, 1, 4, 5, 8, 0x40))
-            if len(body) < 256 and source.random() < 0.8:
-                sock.sendall(bytes([flags, len(body)]) + body)
-            else:
-                sock.sendall(bytes([flags | 2]) + len(body).to_bytes(8, "big") + body)
+    return _send_until_refused(
+        served, source.choice((served.commands, served.events)), (_zmtp_frame(source) for _ in range(BURST)),
+        GREETING + READY,
+    )  # fmt: skip
+
+
+def _zmtp_frame(source: random.Random) -> bytes:
+    body = source.choice((source.randbytes(source.randrange(200)), *message(source)[:1]))[:60_000]
+    flags = source.choice((0, 0, 0, 1, 4, 5, 8, 0x40))
+    if len(body) < 256 and source.random() < 0.8:
+        return bytes([flags, len(body)]) + body
+    return bytes([flags | 2]) + len(body).to_bytes(8, "big") + body
+
+
+def _by_http(served: ServedDaemon, source: random.Random) -> int:
+    def requests() -> Iterator[bytes]:
+        for _ in range(HTTP_BURST):
+            request = source.choice(REQUESTS)
+            yield mutated_bytes(source, request) if source.random() < 0.7 else request
+
+    return sum(_send_until_refused(served, served.web, requests()) for _ in range(BURST // HTTP_BURST))
+
+
+def _by_text(served: ServedDaemon, source: random.Random) -> int:
+    return _send_until_refused(served, served.gateway, (_text_line(source) for _ in range(BURST)))
+
+
+def _text_line(source: random.Random) -> bytes:
+    while True:
+        line = source.choice(LINES)
+        kind = source.random()
+        if kind < 0.5:
+            line = mutated_bytes(source, line) + b"\n"
+        elif kind < 0.6:
+            line = source.choice((*SPECIAL_BYTES, b"x" * 9000, source.randbytes(100))) + b"\n"
+        if not any(word in line.upper() for word in (b"TRI", b"*TRG", b"STOP")):
+            return line
+
+
+def _send_until_refused(served: ServedDaemon, address: str, data: Iterable[bytes], greeting: bytes = b"") -> int:
+    """How many were sent over one connection before the daemon hung up."""
+    sent = 0
+    with served.connect(address) as sock, suppress(OSError):
+        sock.settimeout(TAKEN_S)  # subscribers are read slowly
+        sock.sendall(greeting)
+        for one in data:
+            sock.sendall(one)
+            sent += 1
+            if _has_hung_up(sock):
+                return sent
         _drain(sock)
+    return sent
 
 
-def _by_http(served: ServedDaemon, source: random.Random) -> None:
-    for _ in range(BURST // 5):
-        with served.connect(served.web) as sock, suppress(OSError):
-            for _ in range(5):
-                request = source.choice(REQUESTS)
-                sock.sendall(mutated_bytes(source, request) if source.random() < 0.7 else request)
-            _drain(sock)
-
-
-def _by_text(served: ServedDaemon, source: random.Random) -> None:
-    with served.connect(served.gateway) as sock:
-        for _ in range(BURST):
-            line = source.choice(LINES)
-            kind = source.random()
-            if kind < 0.5:
-                line = mutated_bytes(source, line) + b"\n"
-            elif kind < 0.6:
-                line = source.choice((*SPECIAL_BYTES, b"x" * 9000, source.randbytes(100))) + b"\n"
-            if b"TRI" not in line.upper() and b"*TRG" not in line.upper() and b"STOP" not in line.upper():
-                sock.sendall(line)
-        _drain(sock)
+def _has_hung_up(sock: socket.socket) -> bool:
+    """Read what has come, without waiting; whether the daemon has closed the connection."""
+    try:
+        return not sock.recv(65536, socket.MSG_DONTWAIT)
+    except BlockingIOError:
+        return False
 
 
 def _drain(sock: socket.socket) -> None:
-    """Read what has come, and leave."""
+    """Read what comes in the next moment, and leave."""
     sock.settimeout(0.002)
-    with suppress(OSError):
-        while sock.recv(65536):
-            continue
+    while sock.recv(65536):
+        continue
