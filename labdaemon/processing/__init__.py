@@ -9,7 +9,7 @@ from labdaemon.processing.boards import CharucoBoard
 from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
 from labdaemon.processing.envelope import CaptureResult, join_motions, measure_capture, measure_in_folder
 from labdaemon.processing.excitation_facts import CaptureFacts, TableAmplitude, capture_facts, is_positive, table_motion
-from labdaemon.processing.folder import NOT_FRAMES, open_folder, sharp_sets
+from labdaemon.processing.folder import NOT_FRAMES, DataFolder, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
 from labdaemon.processing.frame_size import check_frame_sizes
 from labdaemon.processing.matched_filter import BlurredTarget
@@ -50,6 +50,7 @@ __all__ = [
     "CaptureFacts",
     "CaptureResult",
     "CharucoBoard",
+    "DataFolder",
     "FolderResult",
     "PreparedCamera",
     "Row",

@@ -12,6 +12,7 @@ import cv2
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.processing import NOT_FRAMES, CaptureFacts, Row, capture_facts, open_folder, read_csv
 from labdaemon.report.accuracy import CaptureAccuracy, compare
+from labdaemon.report.flagged_patches import flagged_patches
 from labdaemon.report.gauge_comparison import read_gauges
 from labdaemon.report.html import CaptureSection, PageImage, PageSupplement, write_page
 from labdaemon.report.overlay import overlay_path
@@ -96,9 +97,11 @@ def report_folder(
     gauges = read_gauges(results / "gauges.csv", measured, _stands_for(folder))
     page = results / "index.html"
     heading = "; ".join(part for part in (subtitle, _line_note(folder)) if part)
+    pixels = results / "measurements.csv"
+    flagged = flagged_patches(folder, read_csv(pixels) if pixels.is_file() else [], measured, known)
     is_excited = any(capture.frequency_hz is not None for capture in shown)
     resonances = resonance_section(folder, results) if is_excited else None
-    write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder), resonances))
+    write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder), resonances, flagged))
     return page, [one.accuracy for one in shown if one.accuracy is not None]
 
 

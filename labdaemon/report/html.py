@@ -19,6 +19,7 @@ from labdaemon.durable import write_durably
 from labdaemon.orbit_size import largest_motion
 from labdaemon.report.accuracy import FLOOR_MM, CaptureAccuracy, row_axes, semi_amplitude_sd_mm, summary
 from labdaemon.report.figures import envelope_svg, errors_svg
+from labdaemon.report.flagged_patches import FlaggedPatches
 from labdaemon.report.gauge_comparison import GaugeComparison
 from labdaemon.report.page_tables import PageGrid, amplitude_chart, flagged_table, gauge_tables, number_text
 from labdaemon.report.provenance import Provenance
@@ -93,11 +94,14 @@ class PageSupplement:
         None where it is not known.
     resonances
         Transmissibility, modes and the curves of their model; None where no frequency is known.
+    flagged
+        Drawings of flagged targets.
     """
 
     gauges: Sequence[GaugeComparison] = ()
     provenance: Provenance | None = None
     resonances: ResonanceSection | None = None
+    flagged: FlaggedPatches = field(default_factory=FlaggedPatches)
 
 
 def write_page(
@@ -151,6 +155,7 @@ def page(
             gauges=gauge_tables(more.gauges),
             budget=budget(rows),
             flagged=flagged_table(captures),
+            patches=more.flagged,
             provenance=more.provenance,
         )
     )
