@@ -122,9 +122,7 @@ class SerialLine:
             raise ConfigError(f"{self.device}: port {url!r} cannot be used: {exc}", key=f"{self.device}.port") from exc
         except OPEN_FAULTS as exc:
             raise TransportError(
-                f"port {url} does not open ({_reason(exc)}); check cable, power and permissions, "
-                "and that no other program holds it",
-                device=self.device,
+                f"port {url} does not open ({_reason(exc)}); {_remedy(exc)}", device=self.device
             ) from exc
         self._port = port
         self._buffer.clear()
@@ -264,6 +262,13 @@ def _register_scheme(url: str) -> None:
     for found in entry_points(group=URL_GROUP, name=scheme):
         if found.module not in serial.protocol_handler_packages:
             serial.protocol_handler_packages.append(found.module)
+
+
+def _remedy(exc: BaseException) -> str:
+    """What a person does about a port that does not open."""
+    if isinstance(exc, OSError) and exc.errno in (errno.EACCES, errno.EPERM):
+        return "add your user to the group that owns the port (mostly dialout), and log in again"
+    return "check cable, power and permissions, and that no other program holds it"
 
 
 def _reason(exc: BaseException) -> str:

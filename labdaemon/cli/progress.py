@@ -64,7 +64,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     if largest := _largest(status):
         lines.append(f"largest    {largest}")
     for name, why in (status.get("waiting_for") or {}).items():
-        lines.append(f"waits for  {name}: {why}")
+        lines.append(f"waits for  {name}: {why.removeprefix(f'{name}: ')}")
     if status.get("table"):
         seen = "; USE THE EMERGENCY STOP IF IT MOVES" if status["table"] == "unconfirmed" else ""
         lines.append(f"table      {status['table']}{seen}")

@@ -197,7 +197,12 @@ def capture(label: str, sharp: bool, request_id: str | None, address: str, as_js
 @address_options
 def stop(address: str, as_json: bool) -> None:
     """Bring the shaker to rest now, whatever is going on."""
-    result = ask(address, "stop", timeout_s=STOP_TIMEOUT_S)
+    try:
+        result = ask(address, "stop", timeout_s=STOP_TIMEOUT_S)
+    except NoDaemon as exc:
+        raise NoDaemon(
+            f"{exc} If the table moves, use the emergency stop, or `labdaemon safe-stop RIG.toml`: it needs no daemon."
+        ) from None
     for trouble in result.get("troubles", ()):
         click.echo(f"labdaemon: {trouble}", err=True)
     say(result, as_json, "there is no shaker" if result.get("rest") == "none" else "the shaker is at rest")

@@ -7,6 +7,7 @@ campaign processed again gives the same numbers.
 
 from labdaemon.processing.boards import CharucoBoard
 from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
+from labdaemon.processing.control import check_family
 from labdaemon.processing.envelope import CaptureResult, join_motions, measure_capture, measure_in_folder
 from labdaemon.processing.excitation_facts import CaptureFacts, TableAmplitude, capture_facts, is_positive, table_motion
 from labdaemon.processing.folder import NOT_FRAMES, DataFolder, open_folder, sharp_sets
@@ -62,6 +63,7 @@ __all__ = [
     "calibrate",
     "calibrate_export",
     "capture_facts",
+    "check_family",
     "check_frame_sizes",
     "csv_text",
     "frame_shift",

@@ -239,6 +239,12 @@ def open_folder(root: Path) -> DataFolder:
     """
     if not root.is_dir():
         raise DataError("is not a folder", file=root)
+    if not (root / "rig.toml").exists():
+        raise ConfigError(
+            "is no data-set folder: it has no rig.toml. A campaign's folder lies in campaigns/ of the data folder; "
+            "`labdaemon campaigns list` names them",
+            source=root,
+        )
     rig = read_rig(root / "rig.toml")
     check_family(rig.control.family, root / "rig.toml")
     control = read_control(root / "control.csv", rig.control.size_mm)

@@ -238,8 +238,9 @@ def _check_driver(
 
 
 def _check_files(rig: RigConfig) -> None:
-    from labdaemon.processing import read_control, read_targets
+    from labdaemon.processing import check_family, read_control, read_targets
 
+    check_family(rig.control.family, rig.source)
     named = [("control.file", rig.control.file), ("targets.file", rig.targets.file)]
     named.append(("shaker.calibration", rig.shaker.calibration if rig.shaker else None))
     for key, written in named:

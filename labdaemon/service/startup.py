@@ -116,7 +116,8 @@ class StartupSequence:
         """Why a command cannot be carried out yet."""
         for name, why in self.waiting_for.items():
             if name != DATA:
-                return DeviceError(f"the daemon waits for it and serves when it is there ({why})", device=name)
+                reason = why.removeprefix(f"{name}: ")
+                return DeviceError(f"the daemon waits for it and serves when it is there ({reason})", device=name)
         return WrongStateError(f"the daemon is starting ({self.waiting_for.get(DATA, 'a moment')})")
 
     async def open_journal(self, folder: Path, replace_damaged: bool) -> Journal:
@@ -215,7 +216,7 @@ class StartupSequence:
 
     def _note_missing(self, name: str, exc: LabdaemonError) -> None:
         if name not in self.waiting_for:
-            log.warning("waiting for %s: %s", name, exc)
+            log.warning("waiting for %s: %s", name, str(exc).removeprefix(f"{name}: "))
         self.waiting_for[name] = str(exc)
         if name != DATA:
             self.announce()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
@@ -35,6 +36,30 @@ def test_every_command_answers_help() -> None:
         done = CliRunner().invoke(cli, [*path, "--help"])
         assert done.exit_code == 0, (path, done.output)
         assert "Usage:" in done.output
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("statsu", "status"), ("process-folder", "process"), ("safestop", "safe-stop")]
+)
+def test_a_command_that_is_typed_wrong_is_refused_with_the_one_that_was_meant(typed: str, meant: str) -> None:
+    done = CliRunner().invoke(cli, [typed])
+    assert done.exit_code == 2
+    assert f"no command '{typed}'; did you mean {meant}?" in done.output
+
+
+def test_a_folder_that_is_no_data_set_is_refused_with_where_those_are(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "labdaemon", "process", str(tmp_path)], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"labdaemon: {tmp_path}: is no data-set folder: it has no rig.toml.")
+    assert "labdaemon campaigns list" in done.stderr
+
+
+def test_stop_without_a_daemon_says_what_stops_the_table() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "labdaemon", "stop", "--address", "tcp://127.0.0.1:1"], capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "use the emergency stop, or `labdaemon safe-stop RIG.toml`" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,6 @@ def test_bad_input_exits_2_with_one_line(
     assert "nowhere" in said
     assert "\n" not in said
     assert run(monkeypatch, tmp_path, "--out", tmp_path / "out") == 2
-    assert "rig.toml: file is missing" in capsys.readouterr().err
+    assert "is no data-set folder: it has no rig.toml" in capsys.readouterr().err
     assert run(monkeypatch, tmp_path, "--method", "guess") == 2
     assert not (tmp_path / "out").exists()

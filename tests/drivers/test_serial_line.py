@@ -7,6 +7,7 @@ import time
 from types import SimpleNamespace
 
 import pytest
+import serial
 
 from labdaemon.errors import ConfigError, ProtocolError, TransportError
 from labdrivers.serial_line import PortSettings, SerialLine
@@ -113,6 +114,18 @@ def test_a_port_that_another_thread_closes_during_a_call_is_lost(wire, call):
     }
     with pytest.raises(TransportError, match="lost while"):
         calls[call]()
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(13, "add your user to the group"), (2, "check cable"), (16, "check cable")]
+)
+def test_a_port_that_does_not_open_says_what_to_do(monkeypatch, number, words):
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(number, "could not open port")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(TransportError, match=words):
+        SerialLine("box", PortSettings(port="/dev/ttyUSB0")).open()
 
 
 @pytest.mark.parametrize("error", [TypeError("an integer is required"), ValueError("-1"), OSError(9, "Bad file")])

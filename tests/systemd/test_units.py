@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import configparser
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -102,3 +103,15 @@ def test_folders_belong_to_the_daemon_alone():
         ("/etc/labdaemon", "0750", "root"),
         ("/var/lib/labdaemon", "0750", "labdaemon"),
     }
+
+
+def test_each_file_is_named_where_a_person_reads_how_to_install():
+    guide = (UNITS.parent / "docs" / "how-to" / "install-for-a-night.md").read_text()
+    assert set(re.findall(r"cp systemd/([\w@.-]+\w)", guide)) == {path.name for path in UNITS.iterdir()}
+
+
+def test_cameras_are_given_to_the_group_that_the_unit_joins():
+    [rule] = [line for line in (UNITS / "60-labdaemon-cameras.rules").read_text().splitlines() if line[0] != "#"]
+    keys = dict(re.findall(r'(\w+(?:\{\w+\})?)=+"([^"]*)"', rule))
+    assert keys["GROUP"] in settings()["SupplementaryGroups"].split()
+    assert keys["ENV{ID_USB_INTERFACES}"].strip("*") == ":060101:"  # still image, PTP

@@ -70,7 +70,8 @@ def open_camera(name: str, serial: str, backend: Any, *, timeout_s: float) -> tu
     found = f"found {', '.join(seen)}" if seen else "found no camera"
     trouble = f", and one that cannot be asked ({held})" if held is not None else ""
     raise TransportError(
-        f"no camera with serial number {serial} on USB ({found}{trouble}); switch it on and check its cable",
+        f"no camera with serial number {serial} on USB ({found}{trouble}); switch it on and check its cable"
+        + (", or correct `serial` in the rig file" if seen else ""),
         device=name,
     )
 

@@ -272,7 +272,9 @@ def _reason(exc: usb.core.USBError) -> str:
         case errno.EBUSY:
             return "held by another program (close the desktop's photo importer)"
         case errno.EACCES | errno.EPERM:
-            return "no permission for the USB device; add a udev rule for it"
+            return (
+                "no permission for the USB device; install systemd/60-labdaemon-cameras.rules, join plugdev, replug it"
+            )
         case errno.EPIPE:
             return "pipe error"
     return f"USB error ({exc.strerror or exc})"
