@@ -14,6 +14,7 @@ import zmq
 
 from labdaemon.bridge.bluesky_documents import Document, DocumentMaker
 from labdaemon.bridge.follow import Place
+from labdaemon.bridge.open_documents import OpenDocuments
 from labdaemon.durable import write_durably
 from labdaemon.errors import UsageError
 
@@ -22,8 +23,12 @@ HIGH_WATER = 100_000
 LINGER_MS = 2000
 MAX_BYTES = 1024
 """Of a message from a dispatcher; a subscription is some bytes. A peer that sends more is hung up on."""
-SUBSCRIPTION = b"\x01"
+SUBSCRIPTION, END = b"\x01", b"\x00"
 READ_AT_A_TIME = 100
+ALL = b" "
+"""What every message begins with: an empty prefix, and the space after it."""
+NEWCOMER = b"newcomer"
+"""Prefix of what one newcomer alone gets. A dispatcher that was given no prefix takes any."""
 SERIALIZERS: dict[Serializer, Callable[[Any], bytes]] = {
     "pickle": pickle.dumps,  # what a dispatcher expects unless it is given another deserializer
     "json": lambda document: json.dumps(document).encode(),
@@ -31,7 +36,9 @@ SERIALIZERS: dict[Serializer, Callable[[Any], bytes]] = {
 
 
 class DocumentPublisher:
-    """A socket that documents are published on.
+    """A socket that documents are published on; who comes in the middle of a run gets that run from its start.
+
+    Behind a proxy newcomers cannot be seen: it subscribes once for all of them.
 
     Parameters
     ----------
@@ -55,6 +62,8 @@ class DocumentPublisher:
         self._socket.set(zmq.SNDHWM, HIGH_WATER)
         self._socket.set(zmq.LINGER, LINGER_MS)
         self._socket.set(zmq.MAXMSGSIZE, MAX_BYTES)
+        self._socket.set(zmq.XPUB_MANUAL, 1)  # each subscription is made here, so that one can be spoken to alone
+        self._open = OpenDocuments()
         try:
             if is_proxy:
                 self._socket.connect(address)
@@ -72,22 +81,50 @@ class DocumentPublisher:
         self._context.destroy()
 
     def wait_for_subscriber(self, timeout_s: float | None = None) -> bool:
-        """Wait for the first one: what is published before it has subscribed is lost. Other messages are none."""
+        """Wait for the first one. Other messages are none."""
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while end_s is None or time.monotonic() <= end_s:
             left_ms = None if end_s is None else max(round((end_s - time.monotonic()) * 1000), 0)
-            if self._socket.poll(left_ms) and self._socket.recv()[:1] == SUBSCRIPTION:
+            if self._socket.poll(left_ms) and self._admit(self._socket.recv()):
                 return True
         return False
 
-    def publish(self, document: Document) -> None:
-        """Send one document."""
-        for _ in range(READ_AT_A_TIME):  # further subscriptions, or whatever a peer sends
+    def greet(self) -> None:
+        """Send newcomers the runs that are open. Call it every second or so; `publish` does it as well."""
+        for _ in range(READ_AT_A_TIME):
             if not self._socket.poll(0):
                 break
-            self._socket.recv()
+            self._admit(self._socket.recv())
+
+    def publish(self, document: Document) -> None:
+        """Send one document."""
+        self.greet()
+        self._socket.send(self.remember(document))
+
+    def remember(self, document: Document) -> bytes:
+        """Keep a document for newcomers, and return its message; for those that were published before a restart."""
         name, content = document
-        self._socket.send(b" ".join([b"", name.encode(), self._serialize(content)]))
+        message = ALL + name.encode() + b" " + self._serialize(content)
+        self._open.add(name, content, message)
+        return message
+
+    def _admit(self, change: bytes) -> bool:
+        """Do what a peer asks for; whether it was a subscription to documents."""
+        kind, topic = change[:1], change[1:] or ALL
+        if not topic.startswith(ALL):
+            return False
+        if kind == END:
+            self._socket.set(zmq.UNSUBSCRIBE, topic)
+        if kind != SUBSCRIPTION:
+            return False
+        if change == SUBSCRIPTION:  # who asks for some documents only takes no other prefix
+            # Made for the peer whose subscription was received last, so no other gets what is for this one.
+            self._socket.set(zmq.SUBSCRIBE, NEWCOMER)
+            for message in self._open.messages():
+                self._socket.send(NEWCOMER + message)
+            self._socket.set(zmq.UNSUBSCRIBE, NEWCOMER)
+        self._socket.set(zmq.SUBSCRIBE, topic)
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +170,8 @@ def publish_events(
     *,
     place: BridgePlace | None = None,
     state: Path | None = None,
+    remember: Callable[[Document], object] = bool,
+    greet: Callable[[], object] = bool,
 ) -> None:
     """Make documents of events and publish them, until the events end.
 
@@ -144,6 +183,10 @@ def publish_events(
         Documents of events up to its `published` are made, and not published again.
     state
         File that the place is kept in; nothing is kept where it is None.
+    remember
+        Called with the documents that are not published again.
+    greet
+        Called at each event, status and silence: it lets newcomers in.
 
     Raises
     ------
@@ -151,15 +194,16 @@ def publish_events(
         The state cannot be written.
     """
     for event in events:
+        greet()
         if event is None or event["kind"] == "status":
             continue
         is_known = place is not None and event["journal"] == place.published.journal
         is_published = is_known and place is not None and event["seq"] <= place.published.seq
         documents = list(maker.feed(event))
+        for document in documents:
+            (remember if is_published else publish)(document)
         if is_published:
             continue
-        for document in documents:
-            publish(document)
         if state is not None and documents:
             open_seq = maker.first_open_seq
             before = event["seq"] if open_seq is None else open_seq - 1

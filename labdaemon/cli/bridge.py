@@ -91,7 +91,10 @@ def bluesky(
             begin = kept.before_open if kept is not None else Place(after) if after is not None else None
             maker = DocumentMaker(Path(client.call("rig")["service"]["data"]))
             with closing(follow_events(client, begin or open_campaign_place(client))) as events:
-                publish_events(events, maker, publisher.publish, place=kept, state=state)
+                publish_events(
+                    events, maker, publisher.publish, place=kept, state=state,
+                    remember=publisher.remember, greet=publisher.greet,
+                )  # fmt: skip
 
 
 def _client(address: str) -> Client:

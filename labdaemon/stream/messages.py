@@ -177,11 +177,16 @@ class RawJson:
 
     Attributes
     ----------
-    text
-        UTF-8 JSON.
+    parts
+        UTF-8 JSON, in pieces: megabytes are joined once, when they are sent.
     """
 
-    text: bytes
+    parts: tuple[bytes, ...]
+
+    @property
+    def text(self) -> bytes:
+        """The whole of it."""
+        return b"".join(self.parts)
 
 
 def result_bytes(result: Any, request_id: RequestId) -> bytes:
@@ -193,7 +198,8 @@ def result_bytes(result: Any, request_id: RequestId) -> bytes:
         The result is not JSON (NaN among it).
     """
     if isinstance(result, RawJson):
-        return b'{"jsonrpc":"2.0","id":' + json.dumps(request_id).encode() + b',"result":' + result.text + b"}"
+        head = b'{"jsonrpc":"2.0","id":%s,"result":' % json.dumps(request_id).encode()
+        return b"".join((head, *result.parts, b"}"))
     return dump_json({"jsonrpc": "2.0", "id": request_id, "result": result}).encode()
 
 

@@ -266,5 +266,9 @@ def latest(outbox: Outbox, params: dict[str, Any]) -> RawJson:
 
 def _answer(events: list[EventText], about: dict[str, Any]) -> RawJson:
     """An object of ``events`` and the members of `about`; events stay the JSON that they are."""
-    tail = json.dumps(about)[1:]
-    return RawJson(b'{"events": [' + b",".join(event.json for event in events) + b"], " + tail.encode())
+    parts = [b'{"events": [']
+    for event in events:
+        parts += (event.json, b",")
+    if events:
+        parts.pop()
+    return RawJson((*parts, b"], " + json.dumps(about)[1:].encode()))

@@ -15,6 +15,7 @@ import zmq
 from labdaemon.bridge.bluesky_bridge import BridgePlace, DocumentPublisher, publish_events, read_place
 from labdaemon.bridge.bluesky_documents import MOST_OPEN, Document, DocumentMaker
 from labdaemon.bridge.follow import Place
+from labdaemon.bridge.open_documents import OpenDocuments
 from labdaemon.errors import UsageError
 from labdaemon.testing.served import TARGETS, event_document
 
@@ -176,3 +177,72 @@ def test_bytes_of_scanners_and_messages_of_peers_are_no_subscribers():
         assert peer.poll(20_000)
         assert pickle.loads(peer.recv().split(b" ", 2)[2]) == {"uid": "1"}
         peer.close(linger=0)
+
+
+def test_a_newcomer_gets_the_open_runs_from_their_start_and_no_one_gets_them_twice():
+    documents = documents_of(history())
+    begun = max(place for place, (name, _) in enumerate(documents) if name == "start")
+    middle = (begun + len(documents)) // 2
+    with DocumentPublisher("tcp://127.0.0.1:*", serializer="json") as publisher, zmq.Context() as context:
+        received: dict[str, list[tuple[str, str]]] = {}
+
+        def join(who: str, topic: bytes = b"") -> zmq.Socket[bytes]:
+            subscriber = context.socket(zmq.SUB)
+            subscriber.connect(publisher.address)
+            subscriber.subscribe(topic)
+            assert publisher.wait_for_subscriber(20.0)
+            received[who] = []
+            return subscriber
+
+        def publish(part: list[Document]) -> None:
+            for document in part:
+                publisher.publish(document)
+
+        def receive(who: str, subscriber: zmq.Socket[bytes], count: int) -> None:
+            for _ in range(count):
+                assert subscriber.poll(20_000), f"{who} got {received[who]}"
+                _, name, content = subscriber.recv().split(b" ", 2)
+                received[who].append((name.decode(), json.loads(content)["uid"]))
+
+        first = join("first")
+        publish(documents[:middle])
+        late, stops = join("late"), join("stops", b" stop")
+        publish(documents[middle:])
+        after = join("after")
+        for who, subscriber, expected in (
+            ("first", first, documents),
+            ("late", late, documents[begun:]),
+            ("stops", stops, documents[-1:]),
+            ("after", after, []),
+        ):
+            receive(who, subscriber, len(expected))
+            assert received[who] == [(name, content["uid"]) for name, content in expected], who
+            assert not subscriber.poll(50), who
+            subscriber.close(linger=0)
+
+
+def test_a_long_run_keeps_what_its_later_events_are_read_with():
+    documents = documents_of(history())
+    begun = max(place for place, (name, _) in enumerate(documents) if name == "start")
+    *run, stop = documents[begun:]
+    kept = OpenDocuments(most_bytes=1)
+    for name, content in run:
+        kept.add(name, content, f" {name} x".encode())
+    names = [message.split()[0] for message in kept.messages()]
+    assert b"event" not in names
+    assert names.count(b"start") == 1
+    assert names.count(b"descriptor") >= 2
+    kept.add(*stop, b"")
+    assert not list(kept.messages())
+
+
+def test_after_a_restart_newcomers_get_the_open_run_too():
+    events = history()
+    open_run = events[:4]
+    place = BridgePlace(Place(open_run[-1]["seq"], "j"), Place(0, "j"))
+    published: list[Document] = []
+    remembered: list[Document] = []
+    maker = DocumentMaker(Path("/data"))
+    publish_events(open_run, maker, published.append, place=place, remember=remembered.append)
+    assert not published
+    assert remembered == documents_of(open_run)

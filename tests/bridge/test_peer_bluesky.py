@@ -42,10 +42,13 @@ def documents(tmp_path: Path) -> list[tuple[str, dict[str, Any]]]:
     return found
 
 
-def test_a_remote_dispatcher_receives_all(documents: list[tuple[str, dict[str, Any]]]):
+@pytest.mark.parametrize("before", [0, 5], ids=["from the beginning", "in the middle of a run"])
+def test_a_remote_dispatcher_receives_all(documents: list[tuple[str, dict[str, Any]]], before: int):
     from bluesky.callbacks.zmq import RemoteDispatcher
 
     with DocumentPublisher("tcp://127.0.0.1:*") as publisher:
+        for document in documents[:before]:
+            publisher.publish(document)
         dispatcher = RemoteDispatcher(publisher.address)
         received: list[tuple[str, dict[str, Any]]] = []
         ended = threading.Event()
@@ -59,7 +62,7 @@ def test_a_remote_dispatcher_receives_all(documents: list[tuple[str, dict[str, A
         thread = threading.Thread(target=dispatcher.start, daemon=True)
         thread.start()
         assert publisher.wait_for_subscriber(30.0)
-        for document in documents:
+        for document in documents[before:]:
             publisher.publish(document)
         assert ended.wait(30.0)
         dispatcher.loop.call_soon_threadsafe(dispatcher.stop)
