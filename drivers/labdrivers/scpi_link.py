@@ -19,8 +19,9 @@ from labdrivers.serial_line import SerialLine
 
 LONGEST_QUEUE = 30
 """Keysight's error queues hold 20; more entries than this are no queue."""
-IDENTITY_TRIES = 4  # late answers of an earlier program are read away first
+IDENTITY_TRIES = 4  # questions without an answer; late answers of an earlier program are read away first
 HASTY_TRIES = 3  # on the way to a stop there is less time
+IDENTITY_QUESTIONS = 8  # that are answered at once cost little
 
 T = TypeVar("T")
 
@@ -88,6 +89,9 @@ class ScpiLink:
     def identify(self) -> str:
         """Ask who is there until the same answer came twice running: the first may be left over from an earlier talk.
 
+        A row of late answers may be the same as well. So nothing may follow the second one, and a switch's answer is no
+        identity.
+
         Raises
         ------
         TransportError
@@ -100,19 +104,25 @@ class ScpiLink:
             self._line.discard()
             before: str | None = None
             fault: DeviceError | None = None
-            for _ in range(IDENTITY_TRIES if self._wait_limit_s is None else HASTY_TRIES):
+            tries = IDENTITY_TRIES if self._wait_limit_s is None else HASTY_TRIES
+            for _ in range(IDENTITY_QUESTIONS):
                 try:
                     answer = self._query(self._commands.identify)
                 except (TransportError, ProtocolError) as exc:
-                    fault = exc
+                    fault, tries = exc, tries - 1
+                    if not tries:
+                        break
                     self._line.discard()
                     continue
-                if answer == before and answer.isprintable():
+                if not answer.isprintable() or answer.upper() in self._switch_replies:
+                    self._line.discard()
+                    continue
+                if answer == before and not self._line.discard():
                     self._identity, self._dirty = answer, False
                     return answer
                 before = answer
             raise fault or ProtocolError(
-                f"gives another identity each time ({before!r}); check baud rate and wiring", device=self.device
+                f"gives no identity twice running (last {before!r}); check baud rate and wiring", device=self.device
             )
 
     def write(self, command: str) -> None:
@@ -185,6 +195,10 @@ class ScpiLink:
             raise ProtocolError(f"error queue never empties ({errors[-1]})", device=self.device)
         if errors:
             raise DeviceRefused(f"refused while {doing}: {'; '.join(errors)}", device=self.device)
+
+    @property
+    def _switch_replies(self) -> set[str]:
+        return {*self._commands.on_replies, *self._commands.off_replies}
 
     def _query(self, question: str) -> str:
         self._line.write(question.encode("ascii") + b"\n")

@@ -130,7 +130,10 @@ class _ShakerWire:
         return ""
 
     def _find_step(self, identify: WireExchange) -> None:
-        """Ask who is there until the same answer came twice running; acknowledgements are no name."""
+        """Ask who is there until the same answer came twice running and no other waits behind it.
+
+        An acknowledgement is no name, and neither is the answer that means rest: late ones would pass for both.
+        """
         before: str | None = None
         for _ in range(IDENTIFY_TRIES):
             self._port.write(identify.send)
@@ -139,7 +142,7 @@ class _ShakerWire:
                 answer = self._read_line(identify.within_s)
             if answer is None:
                 raise StopFailure(f"no answer on {self._recipe.port}")
-            if answer == before and not self._buffer:
+            if answer == before and not self._is_rest(answer) and not self._more_waits():
                 return
             before = answer
         raise StopFailure(f"answers out of step on {self._recipe.port} ({(before or '')[:40]!r})")
@@ -147,6 +150,15 @@ class _ShakerWire:
     def _is_acknowledgement(self, answer: str) -> bool:
         expected = [exchange for exchange in self._recipe.stop if exchange.answer is not None]
         return any(is_expected(exchange, answer) for exchange in expected)
+
+    def _is_rest(self, answer: str) -> bool:
+        return any(exchange.answer is not None and is_expected(exchange, answer) for exchange in self._recipe.confirm)
+
+    def _more_waits(self) -> bool:
+        """Whether something came that was not read yet. A port behind a socket says at most that one byte waits."""
+        if not self._buffer:
+            self._buffer += self._port.read(1)
+        return bool(self._buffer)
 
     def _read_line(self, within_s: float) -> str | None:
         """The next line that is not empty; None when none came in time."""

@@ -164,13 +164,14 @@ def test_it_is_no_rest_that_was_not_seen(make_shaker, fault):
     port.close()
 
 
-def test_a_late_answer_to_the_dead_daemon_is_not_taken_for_rest(make_shaker):
+@pytest.mark.parametrize("delay_s", [0.01, 0.05, 0.1, 0.2])
+def test_a_late_answer_to_the_dead_daemon_is_not_taken_for_rest(make_shaker, delay_s):
     """The daemon asked while the output was off; its answer comes when the guardian asks whether it is off now."""
     device, moves = keysight()
     port = TcpPort(device)
     recipe = recipe_of(make_shaker, port.url, timeout_s=0.3)
     device.faults.inject("stuck_output")
-    device.send_later(0.05, b"0\n" * 8)
+    device.send_later(delay_s, b"0\n" * 8)
     with pytest.raises(StopFailure):
         stop_shaker(recipe, sleep=lambda _: None)
     assert moves()

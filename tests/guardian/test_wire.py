@@ -99,6 +99,14 @@ def test_a_late_answer_to_the_dead_daemon_is_not_taken_for_rest() -> None:
     assert port.sent.count(b"*IDN?\n") >= 3
 
 
+@pytest.mark.parametrize("late", [b"0\n" * n for n in (1, 2, 3, 4, 8)] + [b"KEYSIGHT,33500\n" * 2 + b"0\n" * 2])
+def test_no_row_of_late_answers_passes_for_name_and_rest(late: bytes) -> None:
+    """They were held up on the way, and come when the wire has been read away already; the output is still on."""
+    port = resting(identify=[late + b"KEYSIGHT,33500\n", b"KEYSIGHT,33500\n"], confirm=b"1\n")
+    with pytest.raises(StopFailure):
+        stop(port)
+
+
 def test_answers_that_never_agree_are_out_of_step() -> None:
     port = resting(identify=[f"late {number}\n".encode() for number in range(20)])
     with pytest.raises(StopFailure, match="out of step"):
