@@ -26,7 +26,7 @@ class Flag(StrEnum):
     AMBIGUOUS = "ambiguous"
     """Ends or orbit not settled between cameras; the better solution is given."""
     PART_CYCLES = "part_cycles"
-    """More than 0.05 cycles from whole, with the phase unknown."""
+    """More than 0.05 cycles from whole, as stated or as the frame's targets show together, with the phase unknown."""
     UNDETERMINED = "undetermined"
     """A component that the image cannot show: the texture has no structure along it (aperture problem)."""
     MIXED_MOTION = "mixed_motion"

@@ -17,12 +17,20 @@ from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.blur.measure import measure
-from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, StaticMeasurement
+from labdaemon.blur.motion import (
+    Defocus,
+    ExposureWindow,
+    InitialGuess,
+    Measurement,
+    StaticMeasurement,
+    with_relative_sd,
+)
 from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_ellipse
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.phase.light_check import is_light_mismatch
 from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
+from labdaemon.blur.phase.unknown_window import UnknownWindow, estimate_window
 from labdaemon.blur.prediction import (
     DotImage,
     PredictedSd,
@@ -62,11 +70,13 @@ __all__ = [
     "SharpTarget",
     "StaticMeasurement",
     "Twin",
+    "UnknownWindow",
     "average_measurements",
     "decide_sign",
     "ellipse_from_moments",
     "estimate_frame_defocus",
     "estimate_noise",
+    "estimate_window",
     "failure_flags",
     "find_relative_signs",
     "fit_ellipse",
@@ -90,4 +100,5 @@ __all__ = [
     "sd_of_information",
     "solved",
     "unmeasurable_target",
+    "with_relative_sd",
 ]

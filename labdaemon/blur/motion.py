@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -253,3 +253,22 @@ def empty_measurement(target: str, flags: set[Flag]) -> Measurement:
     """A measurement without numbers."""
     nan = np.full(2, np.nan)
     return Measurement(target, nan, nan, nan, np.full((6, 6), np.nan), flags=frozenset(flags), chi2=float("nan"))
+
+
+def with_relative_sd(measurement: Measurement, relative_sd: float) -> Measurement:
+    """A measurement with an error of its amplitude in the covariance that no residual shows.
+
+    Parameters
+    ----------
+    measurement
+        As measured; without numbers it stays as it is.
+    relative_sd
+        Standard deviation of that error over the amplitude.
+    """
+    motion = np.concatenate((measurement.a_px, measurement.b_px))
+    if relative_sd <= 0 or not np.isfinite(motion).all():
+        return measurement
+    covariance = measurement.covariance_px2.copy()
+    covariance[2:, 2:] += relative_sd**2 * np.outer(motion, motion)
+    axes = None if measurement.axes is None else with_relative_sd(measurement.axes, relative_sd)
+    return replace(measurement, covariance_px2=covariance, axes=axes)

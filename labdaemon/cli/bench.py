@@ -24,6 +24,7 @@ ELSEWHERE = {
         "harmonics",
         "planned",
         "real",
+        "windows",
     )
 } | {name: f"labdaemon.bench.{name}.command:command" for name in ("world", "stream")}
 """Subcommands defined in the benches' own modules; imported only when called."""

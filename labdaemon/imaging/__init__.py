@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from labdaemon.imaging.codes import find_tags as find_tags
     from labdaemon.imaging.dots import find_dots as find_dots
     from labdaemon.imaging.eccentricity import centre_shift as centre_shift
+    from labdaemon.imaging.file_tags import exposure_of as exposure_of
     from labdaemon.imaging.frame import Grey as Grey
     from labdaemon.imaging.frame import RawFrame as RawFrame
     from labdaemon.imaging.frame import mean_frame as mean_frame
@@ -45,6 +46,7 @@ _HOME = {
     "check_frame": "labdaemon.imaging.raw",
     "code_book": "labdaemon.imaging.rings",
     "dictionary": "labdaemon.imaging.codes",
+    "exposure_of": "labdaemon.imaging.file_tags",
     "families": "labdaemon.imaging.codes",
     "find_dots": "labdaemon.imaging.dots",
     "find_rings": "labdaemon.imaging.rings",
@@ -70,6 +72,7 @@ __all__ = [
     "check_frame",
     "code_book",
     "dictionary",
+    "exposure_of",
     "families",
     "find_dots",
     "find_rings",

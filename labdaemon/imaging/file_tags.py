@@ -143,6 +143,14 @@ def read_tags(path: Path) -> FileTags:
     )
 
 
+def exposure_of(path: Path) -> float | None:
+    """Exposure that the camera wrote into a frame's file, s; None where it wrote none, or the file is damaged."""
+    try:
+        return read_tags(path).exposure_s
+    except (DataError, OSError):  # whoever reads the frame reports it
+        return None
+
+
 def check_pixel_bytes(path: Path, directory: TiffDirectory) -> None:
     """Check that an uncompressed image of an ordinary TIFF has as many bytes as its pixels take.
 

@@ -19,6 +19,7 @@ from labdaemon.geometry import (
     intersect_targets,
     map_motion_to_plane,
 )
+from labdaemon.processing.exposure import exposure_window
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
 from labdaemon.processing.motion_laws import motion_laws
@@ -69,7 +70,7 @@ def measure_in_folder(folder: DataFolder, sharp: SharpSet, captures: Sequence[st
     return measure_frames(
         prepared,
         [one.frames[camera] for one in files],
-        [one.about.window(camera) for one in files],
+        [exposure_window(one.about, camera, one.frames[camera]) for one in files],
         control=sharp.control,
         method=sharp.method,
         laws=motion_laws(folder.rig.stands_for, [one.about.gauges for one in files]),

@@ -15,6 +15,7 @@ from labdaemon.blur import (
     Patch,
     SharpTarget,
     average_measurements,
+    estimate_window,
     failure_flags,
     find_relative_signs,
     is_light_mismatch,
@@ -22,12 +23,13 @@ from labdaemon.blur import (
     measure_group,
     measure_mccarthy2016,
     solved,
+    with_relative_sd,
 )
 from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
-from labdaemon.processing.group import holds_phase, is_part_cycle
+from labdaemon.processing.group import holds_phase, is_cycle_count_unknown, is_part_cycle
 from labdaemon.processing.matched_filter import BlurredTarget
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.motion_laws import MotionLaws
@@ -35,14 +37,10 @@ from labdaemon.processing.prepare import PreparedCamera
 from labdaemon.processing.shift import FrameShift, frame_shift
 from labdaemon.processing.survey import SurveyedPoint
 from labdaemon.processing.target_search import locate_targets
-from labdaemon.processing.thumbnails import find_thumbnail
+from labdaemon.processing.thumbnails import locate_patches
 
 MOVED_PX = 1.0
 """Shift of a frame's control targets from which its measurements are flagged. Less is corrected and harms nothing."""
-PATCH_REACH_PX = 40
-"""How far a textured patch may have moved."""
-PATCH_SCORE = 0.35
-"""Correlation below which it is not there: noise alone reaches 0.2 somewhere, a smear of its own size keeps 0.5."""
 
 
 def not_found(target: SharpTarget) -> Measurement:
@@ -171,14 +169,7 @@ def measure_raw(
 
 def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> _LocatedTargets:
     if camera.thumbnails:
-        smears: list[BlurredTarget | None] = []
-        for target, thumbnail in zip(camera.targets, camera.thumbnails, strict=True):
-            moved, score = find_thumbnail(grey, thumbnail, PATCH_REACH_PX)
-            seen = score >= PATCH_SCORE
-            smears.append(
-                BlurredTarget(target.centre_px + moved, np.zeros(2), np.zeros(2), score, 0.0) if seen else None
-            )
-        return _LocatedTargets(frame, shift, smears)
+        return _LocatedTargets(frame, shift, locate_patches(grey, camera.centres_px, camera.thumbnails))
     moved = shift.at(camera.centres_px)
     expected_targets = [
         replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.expected, moved, strict=True)
@@ -246,39 +237,54 @@ def _with_white(
 def _measure_one(
     camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
 ) -> list[Measurement]:
-    # Axes do not depend on the opening phase: where it is unknown, any will do.
+    first, exposure = None, None
+    if is_cycle_count_unknown(window):
+        found, targets, cuts, _ = _fit_inputs(camera, located)
+        first = _measure_smears(camera, located, None, laws)
+        each = [first[index] for index in found]
+        nominal = None if window is None else (window.cycles, window.frequency_hz * window.sd_exposure_s)
+        exposure = estimate_window(targets, cuts, each, defocus=located.shift.defocus, expected=nominal)
+        if exposure.window is not None:
+            window, first = exposure.window, None
     unknown = window is not None and window.phase_rad is None and is_part_cycle(window)
     if unknown and window is not None:
-        window = replace(window, phase_rad=0.0)
-
-    def measured(smears: list[BlurredTarget | None]) -> dict[int, Measurement]:
-        found, targets, cuts, starts = _fit_inputs(camera, replace(located, smears=smears))
-        each = measure_frame(
-            targets,
-            cuts,
-            window=window,
-            defocus=located.shift.defocus,
-            initial_guesses=starts,
-            harmonics=[laws.of(target.name) for target in targets],
-        )
-        return dict(zip(found, each, strict=True))
-
+        # Axes do not depend on the opening phase: where it is unknown, any will do.
+        window, first = replace(window, phase_rad=0.0), None
     result = [
         _missing_target(located, target) if smear is None else not_found(target)
         for target, smear in zip(camera.targets, located.smears, strict=True)
     ]
-    for index, one in measured(located.smears).items():
+    if first is None:
+        first = _measure_smears(camera, located, window, laws)
+    for index, one in first.items():
         seen = unknown and bool(np.isfinite(one.a_px).all())
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
     # What was not found may be where its neighbours say, behind something, or with the end of its label in its blur.
     # Anything else there is not this target.
     rest_px = camera.centres_px + located.shift.at(camera.centres_px)
     expected = predict_missing(rest_px, located.smears)
-    for index, one in measured([expected.get(index) for index in range(len(camera.targets))]).items():
+    missing = replace(located, smears=[expected.get(index) for index in range(len(camera.targets))])
+    for index, one in _measure_smears(camera, missing, window, laws).items():
         on_label = camera.targets[index].outline is not None and bool(np.isfinite(one.a_px).all())
         if one.flags & {Flag.OCCLUDED, Flag.PAPER_EDGE} or (on_label and Flag.POOR_FIT not in one.flags):
             result[index] = one
-    return result
+    return result if exposure is None else [with_relative_sd(one, exposure.relative_sd) for one in result]
+
+
+def _measure_smears(
+    camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
+) -> dict[int, Measurement]:
+    """Measure every target whose smear is known, by its index."""
+    found, targets, cuts, starts = _fit_inputs(camera, located)
+    each = measure_frame(
+        targets,
+        cuts,
+        window=window,
+        defocus=located.shift.defocus,
+        initial_guesses=starts,
+        harmonics=[laws.of(target.name) for target in targets],
+    )
+    return dict(zip(found, each, strict=True))
 
 
 def _missing_target(located: _LocatedTargets, target: SharpTarget) -> Measurement:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
 
-from labdaemon.blur import Measurement, MotionHarmonics
+from labdaemon.blur import Measurement, MotionHarmonics, with_relative_sd
 from labdaemon.events import GaugeMotion
 
 ORDERS = (2, 3, 4, 5)
@@ -54,13 +54,7 @@ class MotionLaws:
         """A measurement with what its target's unknown harmonics add to the covariance."""
         if self.unknown <= 0 or self.of(measurement.target) is not None:
             return measurement
-        motion = np.concatenate((measurement.a_px, measurement.b_px))
-        if not np.isfinite(motion).all():
-            return measurement
-        covariance = measurement.covariance_px2.copy()
-        covariance[2:, 2:] += (AMPLITUDE_EFFECT * self.unknown) ** 2 * np.outer(motion, motion)
-        axes = None if measurement.axes is None else self.with_unknown(measurement.axes)
-        return replace(measurement, covariance_px2=covariance, axes=axes)
+        return with_relative_sd(measurement, AMPLITUDE_EFFECT * self.unknown)
 
 
 def motion_laws(stands_for: Mapping[str, Sequence[str]], captures: Sequence[Mapping[str, GaugeMotion]]) -> MotionLaws:

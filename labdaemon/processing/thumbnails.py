@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -10,7 +11,12 @@ import numpy as np
 
 from labdaemon.blur import FloatArray
 from labdaemon.imaging import GreyImage
-from labdaemon.processing.matched_filter import GreyLike, reduce
+from labdaemon.processing.matched_filter import BlurredTarget, GreyLike, reduce
+
+PATCH_REACH_PX = 40
+"""How far a textured patch may have moved."""
+PATCH_SCORE = 0.35
+"""Correlation below which it is not there: noise alone reaches 0.2 somewhere, a smear of its own size keeps 0.5."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,3 +73,15 @@ def find_thumbnail(grey: GreyLike, thumbnail: Thumbnail, reach_px: int) -> tuple
     row, column = divmod(int(np.argmax(likeness)), likeness.shape[1])
     shift = np.array([x0 + column * scale - thumbnail.left, y0 + row * scale - thumbnail.top], dtype=float)
     return cast(FloatArray, shift), float(likeness[row, column])
+
+
+def locate_patches(
+    grey: GreyLike, centres_px: FloatArray, thumbnails: Sequence[Thumbnail]
+) -> list[BlurredTarget | None]:
+    """Find textured patches near their places in the sharp frame (n, 2); None for one that is not there."""
+    found: list[BlurredTarget | None] = []
+    for centre, thumbnail in zip(centres_px, thumbnails, strict=True):
+        moved, score = find_thumbnail(grey, thumbnail, PATCH_REACH_PX)
+        seen = score >= PATCH_SCORE
+        found.append(BlurredTarget(centre + moved, np.zeros(2), np.zeros(2), score, 0.0) if seen else None)
+    return found

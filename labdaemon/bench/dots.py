@@ -1,0 +1,103 @@
+"""Single dots on textured paper, sharp and moving, as small images: for benches of many trials."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labdaemon.bench.simulator import renderer
+from labdaemon.blur import Dot, FloatArray, NoiseModel, Patch, SharpTarget, fit_sharp
+
+PX_PER_MM = 24.0 / 6.1
+RADIUS_MM = 4.0
+TEXTURE_MM = 0.3
+MARGIN_PX = 16
+
+
+class DotBench:
+    """Photographs dots before a D80 at 1 m.
+
+    Parameters
+    ----------
+    seed
+        Of noise, phases and directions.
+    texture
+        Relative standard deviation of the paper texture.
+
+    Raises
+    ------
+    UsageError
+        No simulator is installed.
+    """
+
+    white_dn = 0.825 * 2900.0
+    """Paper white, mean over a mosaic of the colours' sensitivities."""
+    lens_sigma_px = 1.25
+    """Gaussian that approximates diffraction at f/32."""
+
+    def __init__(self, seed: int, texture: float) -> None:
+        self._rng, self._render = np.random.default_rng(seed), renderer()
+        self._seed, self._texture = seed, texture
+        self.noise = NoiseModel(7.0 / 8.5, 1.0 / 8.5, texture, TEXTURE_MM * PX_PER_MM)
+
+    def angle(self) -> float:
+        """Any angle."""
+        return float(self._rng.uniform(0.0, 2.0 * np.pi))
+
+    def sharp(self, amplitude_mm: float, paper: int) -> SharpTarget:
+        """A dot at rest, on a sheet of its own that is seen as far as the motion will reach."""
+        patch = self._photograph(amplitude_mm, paper, None)
+        middle = (patch.shape[0] - 1) / 2
+        dot = Dot(middle, middle, RADIUS_MM * PX_PER_MM, RADIUS_MM * PX_PER_MM, 0.0, name=f"T{paper}")
+        return fit_sharp(dot, [patch], noise=self.noise)
+
+    def blurred(
+        self,
+        amplitude_mm: float,
+        paper: int,
+        cycles: float,
+        phase_rad: float,
+        *,
+        direction_rad: float,
+        third: complex = 0.0,
+    ) -> Patch:
+        """The same dot in motion along a direction (from x upwards), from a phase at the opening on.
+
+        Parameters
+        ----------
+        third
+            Third harmonic over the fundamental: c + i·s of d = sin θ + c sin 3θ + s cos 3θ.
+        """
+        along = np.array([np.cos(direction_rad), 0.0, np.sin(direction_rad)])
+
+        def motion(t: FloatArray) -> FloatArray:
+            theta = 2.0 * np.pi * cycles * t + phase_rad
+            course = np.sin(theta) + np.imag(third * np.exp(3j * theta))
+            return np.asarray(amplitude_mm * course[:, None] * along, np.float64)
+
+        return self._photograph(amplitude_mm, paper, motion)
+
+    def _photograph(self, amplitude_mm: float, paper: int, motion: object) -> Patch:
+        half = int(np.ceil((RADIUS_MM + 1.15 * amplitude_mm) * PX_PER_MM)) + MARGIN_PX
+        size = 2 * half + 1
+        sheet = (size + 40) / PX_PER_MM
+        target = {"name": "T", "centre_mm": (0.0, 0.0, 0.0), "diameter_mm": 2 * RADIUS_MM, "paper_mm": (sheet, sheet)}
+        scene = {
+            "targets": [target],
+            "texture": self._texture,
+            "texture_length_mm": TEXTURE_MM,
+            "gradient": (0.02, -0.01),
+            "vignetting": 0.0,
+            "clutter": 0,
+            "seed": 1000 * self._seed + paper,
+        }
+        camera = {
+            "image_size": (size, size),
+            "focal_px": (1000.0 * PX_PER_MM, 1000.0 * PX_PER_MM),
+            "principal_point_px": (half + 0.3, half - 0.2),
+            "position_mm": (0.0, -1000.0, 0.0),
+        }
+        motions = {} if motion is None else {"T": motion}
+        image = np.asarray(self._render(scene, camera, motions=motions).mean_dn, np.float64)  # type: ignore[arg-type]
+        image = image + self._rng.normal(size=image.shape) * np.sqrt(NoiseModel(7.0 / 8.5, 1.0 / 8.5).variance(image))
+        row, column = np.indices(image.shape)
+        return Patch(image, np.asarray(2 * (row % 2) + column % 2, np.uint8), np.ones(image.shape, bool), (0, 0))

@@ -1,0 +1,194 @@
+"""Exposures of part cycles: of unknown length, and of known length and phase, on single dots with paper texture.
+
+Every trial renders dots of 8 mm that move straight with phases of their own (``labdaemon.bench.dots``), and measures
+them as whole cycles, through the exposure that the frame's dots show together, or through the known one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import click
+import numpy as np
+
+from labdaemon.bench.dots import PX_PER_MM, DotBench
+from labdaemon.blur import (
+    Defocus,
+    DotImage,
+    ExposureWindow,
+    FloatArray,
+    Measurement,
+    SharpTarget,
+    estimate_window,
+    measure_frame,
+    measure_group,
+    predict_sd,
+    with_relative_sd,
+)
+from labdaemon.flags import Flag
+
+CYCLES = (2.3, 2.5, 3.4, 5.37, 5.5, 7.2, 9.5, 13.7, 19.6, 5.0)
+UNKNOWN_MM = (0.3, 0.4, 0.55, 0.75, 1.0, 1.4, 1.9, 2.5)
+KNOWN_MM = (0.3, 0.6, 0.8, 1.5, 3.0, 6.0, 12.0)
+TEXTURE = 0.004
+DEFOCUS = Defocus(0.0, 0.02)
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownTrials:
+    """Frames of one exposure whose length is not told.
+
+    Attributes
+    ----------
+    cycles
+        True cycles.
+    found
+        Estimated cycles of each frame, NaN where whole cycles were not excluded.
+    whole, estimated
+        Relative errors of the amplitudes as whole cycles, and through the estimate.
+    pulls
+        Errors of the latter over their standard deviations.
+    """
+
+    cycles: float
+    found: FloatArray
+    whole: FloatArray
+    estimated: FloatArray
+    pulls: FloatArray
+
+
+def run_unknown(
+    cycles: float, frames: int, seed: int = 1, amplitudes_mm: Sequence[float] = UNKNOWN_MM
+) -> UnknownTrials:
+    """Measure frames of one exposure whose cycles nobody states.
+
+    Raises
+    ------
+    UsageError
+        No simulator is installed.
+    """
+    bench = DotBench(seed, TEXTURE)
+    sharps = [bench.sharp(amplitude, index) for index, amplitude in enumerate(amplitudes_mm)]
+    size_px = np.asarray(amplitudes_mm) * PX_PER_MM
+    found, whole, estimated, pulls = [], [], [], []
+    for _ in range(frames):
+        patches = [
+            bench.blurred(amplitude, index, cycles, bench.angle(), direction_rad=bench.angle())
+            for index, amplitude in enumerate(amplitudes_mm)
+        ]
+        first, last, estimate = measure_unknown(sharps, patches)
+        found.append(np.nan if estimate is None else estimate)
+        whole.append([one.amplitude_px for one in first] / size_px - 1)
+        sizes = np.array([one.amplitude_px for one in last])
+        estimated.append(sizes / size_px - 1)
+        pulls.append((sizes - size_px) / [one.sd_px for one in last])
+    return UnknownTrials(
+        cycles, np.array(found), np.concatenate(whole), np.concatenate(estimated), np.concatenate(pulls)
+    )
+
+
+def measure_unknown(
+    sharps: Sequence[SharpTarget], patches: Sequence[object]
+) -> tuple[list[Measurement], list[Measurement], float | None]:
+    """A frame as whole cycles, and through the exposure that its targets show; its cycles, None where whole."""
+    first = measure_frame(sharps, patches, defocus=DEFOCUS)  # type: ignore[arg-type]
+    unknown = estimate_window(sharps, patches, first, defocus=DEFOCUS)  # type: ignore[arg-type]
+    last = first
+    if unknown.window is not None:
+        window = ExposureWindow(1.0, unknown.window.exposure_s, 0.0, sd_exposure_s=unknown.sd_cycles)
+        last = measure_frame(sharps, patches, window=window, defocus=DEFOCUS)  # type: ignore[arg-type]
+    return first, [with_relative_sd(one, unknown.relative_sd) for one in last], unknown.cycles
+
+
+@dataclass(frozen=True, slots=True)
+class KnownTrials:
+    """Dots of one amplitude through known windows.
+
+    Attributes
+    ----------
+    amplitude_mm
+        True semi-amplitude.
+    vector_mm, bound_mm
+        Errors of the signed vectors (a, b), and their Cramér–Rao bound.
+    pulls
+        Of amplitude and phase.
+    flagged
+        Dots with a flag; their errors are not among the others.
+    """
+
+    amplitude_mm: float
+    vector_mm: FloatArray
+    bound_mm: FloatArray
+    pulls: FloatArray
+    flagged: int
+
+
+def run_known(amplitude_mm: float, cycles: float, dots: int, texture: float, seed: int = 1) -> KnownTrials:
+    """Signed vectors from two captures, opened a quarter of a cycle apart."""
+    bench = DotBench(seed, texture)
+    sharp = bench.sharp(amplitude_mm, 0)
+    size = amplitude_mm * PX_PER_MM
+    windows = [ExposureWindow(5.0, cycles / 5.0, opening) for opening in (0.0, np.pi / 2)]
+    errors, bounds, pulls, flagged = [], [], [], 0
+    for _ in range(dots):
+        phase, direction = bench.angle(), bench.angle()
+        patches = [
+            bench.blurred(amplitude_mm, 0, cycles, phase + (window.phase_rad or 0.0), direction_rad=direction)
+            for window in windows
+        ]
+        found = measure_group(sharp, patches, windows, defocus=DEFOCUS)
+        if found.flags - {Flag.AT_REST} or not np.isfinite(found.a_px).all():
+            flagged += 1
+            continue
+        along = np.array([np.cos(direction), -np.sin(direction)])
+        true = size * np.concatenate((np.cos(phase) * along, np.sin(phase) * along))
+        seen = np.concatenate((found.a_px, found.b_px))
+        radial, tangential = true / size, np.concatenate((-true[2:], true[:2])) / size
+        covariance = found.covariance_px2[2:, 2:]
+        pulls += [float(d @ (seen - true) / np.sqrt(d @ covariance @ d)) for d in (radial, tangential)]
+        bound = predict_sd(windows, size, phase, _dot_image(bench), direction_rad=-direction)
+        errors.append(float(np.linalg.norm(seen - true)) / PX_PER_MM)
+        bounds.append(float(np.hypot(bound.amplitude_px, bound.phase_rad * size)) / PX_PER_MM)
+    return KnownTrials(amplitude_mm, np.array(errors), np.array(bounds), np.array(pulls), flagged)
+
+
+def _dot_image(bench: DotBench) -> DotImage:
+    return DotImage(4.0 * PX_PER_MM, bench.lens_sigma_px, bench.white_dn, 0.05, bench.noise)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+@click.command("windows")
+@click.option("--section", type=click.Choice(["all", "unknown", "known"]), default="all", show_default=True)
+@click.option("--frames", default=3, show_default=True, help="Frames of eight dots for each unknown exposure.")
+@click.option("--dots", default=12, show_default=True, help="Dots of each amplitude through known windows.")
+@click.option("--cycles", default=5.5, show_default=True, help="Of the known windows.")
+@click.option("--texture", default=0.008, show_default=True, help="Relative paper texture seen through known windows.")
+@click.option("--seed", default=1, show_default=True)
+def command(section: str, frames: int, dots: int, cycles: float, texture: float, seed: int) -> None:
+    """Part cycles: of unknown length, and signed vectors through known windows, next to the Cramér–Rao bound."""
+    if section in ("all", "unknown"):
+        click.echo("Exposure unknown: relative error of amplitudes of 0.3 to 2.5 mm, every dot with its own phase")
+        click.echo("cycles   as whole: mean     rms  largest   estimated: mean     rms  largest   pulls   cycles found")
+        for one in CYCLES:
+            trials = run_unknown(one, frames, seed)
+            cells = "   ".join(
+                f"{errors.mean():14.2%} {_rms(errors):7.2%} {np.abs(errors).max():8.2%}"
+                for errors in (trials.whole, trials.estimated)
+            )
+            found = ", ".join("whole" if np.isnan(value) else f"{value:.2f}" for value in trials.found)
+            click.echo(f"{one:6.2f}   {cells}   {_rms(trials.pulls):5.2f}   {found}")
+    if section in ("all", "known"):
+        click.echo(f"Windows known: {cycles:g} cycles twice, a quarter of a cycle apart, texture {texture:.1%}")
+        click.echo("amplitude mm   dots   flagged   error rms µm   over the bound   95 % µm   pulls")
+        for amplitude in KNOWN_MM:
+            known = run_known(amplitude, cycles, dots, texture, seed)
+            ratio = _rms(known.vector_mm / known.bound_mm)
+            p95 = float(np.percentile(known.vector_mm, 95)) if known.vector_mm.size else float("nan")
+            click.echo(
+                f"{amplitude:12.1f}   {dots:4d}   {known.flagged:7d}   {_rms(known.vector_mm) * 1e3:12.1f}   "
+                f"{ratio:14.2f}   {p95 * 1e3:7.1f}   {_rms(known.pulls):5.2f}"
+            )
