@@ -29,15 +29,15 @@ class DotBench:
         No simulator is installed.
     """
 
-    white_dn = 0.825 * 2900.0
+    white_dn: float = 0.825 * 2900.0
     """Paper white, mean over a mosaic of the colours' sensitivities."""
-    lens_sigma_px = 1.25
+    lens_sigma_px: float = 1.25
     """Gaussian that approximates diffraction at f/32."""
 
     def __init__(self, seed: int, texture: float) -> None:
         self._rng, self._render = np.random.default_rng(seed), renderer()
         self._seed, self._texture = seed, texture
-        self.noise = NoiseModel(7.0 / 8.5, 1.0 / 8.5, texture, TEXTURE_MM * PX_PER_MM)
+        self.noise: NoiseModel = NoiseModel(7.0 / 8.5, 1.0 / 8.5, texture, TEXTURE_MM * PX_PER_MM)
 
     def angle(self) -> float:
         """Any angle."""

@@ -7,7 +7,7 @@ them as whole cycles, through the exposure that the frame's dots show together, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import click
 import numpy as np
@@ -20,7 +20,7 @@ from labdaemon.blur import (
     FloatArray,
     Measurement,
     SharpTarget,
-    estimate_window,
+    estimate_waveform,
     measure_frame,
     measure_group,
     predict_sd,
@@ -93,12 +93,13 @@ def measure_unknown(
 ) -> tuple[list[Measurement], list[Measurement], float | None]:
     """A frame as whole cycles, and through the exposure that its targets show; its cycles, None where whole."""
     first = measure_frame(sharps, patches, defocus=DEFOCUS)  # type: ignore[arg-type]
-    unknown = estimate_window(sharps, patches, first, defocus=DEFOCUS)  # type: ignore[arg-type]
+    shared = estimate_waveform(sharps, patches, first, defocus=DEFOCUS)  # type: ignore[arg-type]
     last = first
-    if unknown.window is not None:
-        window = ExposureWindow(1.0, unknown.window.exposure_s, 0.0, sd_exposure_s=unknown.sd_cycles)
+    if shared.window is not None:
+        window = replace(shared.window, phase_rad=0.0)
         last = measure_frame(sharps, patches, window=window, defocus=DEFOCUS)  # type: ignore[arg-type]
-    return first, [with_relative_sd(one, unknown.relative_sd) for one in last], unknown.cycles
+    cycles = None if shared.window is None else shared.window.cycles
+    return first, [with_relative_sd(one, shared.relative_sd) for one in last], cycles
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,8 +29,9 @@ from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_elli
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.phase.light_check import is_light_mismatch
+from labdaemon.blur.phase.shared_waveform import SharedWaveform, estimate_waveform
 from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
-from labdaemon.blur.phase.unknown_window import UnknownWindow, estimate_window
+from labdaemon.blur.phase.third_harmonic import ThirdHarmonic
 from labdaemon.blur.prediction import (
     DotImage,
     PredictedSd,
@@ -67,16 +68,17 @@ __all__ = [
     "Patch",
     "PredictedSd",
     "RelativeSigns",
+    "SharedWaveform",
     "SharpTarget",
     "StaticMeasurement",
+    "ThirdHarmonic",
     "Twin",
-    "UnknownWindow",
     "average_measurements",
     "decide_sign",
     "ellipse_from_moments",
     "estimate_frame_defocus",
     "estimate_noise",
-    "estimate_window",
+    "estimate_waveform",
     "failure_flags",
     "find_relative_signs",
     "fit_ellipse",

@@ -12,14 +12,11 @@ from labdaemon.blur import (
     ExposureWindow,
     InitialGuess,
     Measurement,
-    Patch,
     SharpTarget,
     average_measurements,
-    estimate_window,
     failure_flags,
     find_relative_signs,
     is_light_mismatch,
-    measure_frame,
     measure_group,
     measure_mccarthy2016,
     solved,
@@ -29,8 +26,8 @@ from labdaemon.errors import DataError, UsageError
 from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
-from labdaemon.processing.group import holds_phase, is_cycle_count_unknown, is_part_cycle
-from labdaemon.processing.matched_filter import BlurredTarget
+from labdaemon.processing.group import holds_phase, is_part_cycle
+from labdaemon.processing.located import LocatedTargets, cut_patch, fit_inputs, measure_first, measure_smears
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.motion_laws import MotionLaws
 from labdaemon.processing.prepare import PreparedCamera
@@ -81,15 +78,6 @@ class FrameResult:
     def evidence_of(self, index: int) -> float:
         """Evidence for one target's sign."""
         return self.evidence[index] if self.evidence else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LocatedTargets:
-    """A frame, its shift, and its blurred targets in the order of the camera's targets; None where not found."""
-
-    frame: RawFrame
-    shift: FrameShift
-    smears: list[BlurredTarget | None]
 
 
 def measure_frames(
@@ -167,14 +155,14 @@ def measure_raw(
     )
 
 
-def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> _LocatedTargets:
+def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> LocatedTargets:
     if camera.thumbnails:
-        return _LocatedTargets(frame, shift, locate_patches(grey, camera.centres_px, camera.thumbnails))
+        return LocatedTargets(frame, shift, locate_patches(grey, camera.centres_px, camera.thumbnails))
     moved = shift.at(camera.centres_px)
     expected_targets = [
         replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.expected, moved, strict=True)
     ]
-    return _LocatedTargets(frame, shift, locate_targets(grey, expected_targets))
+    return LocatedTargets(frame, shift, locate_targets(grey, expected_targets))
 
 
 def _camera_motion(
@@ -207,19 +195,8 @@ def _has_moved(shift: FrameShift) -> bool:
     return bool(shift.stills) and float(np.hypot(*shift.shift_px)) > MOVED_PX
 
 
-def _cut(frame: RawFrame, target: SharpTarget, smear: BlurredTarget) -> Patch:
-    """Cut a smear and some paper around it from a frame."""
-    half_w, half_h = target.form.half_size_px
-    path = np.hypot(smear.a_px, smear.b_px)
-    # The search's lengths come in steps of a quarter; the fit wants paper on all sides.
-    reach = 1.35 * path + np.array([half_w, half_h]) * 1.6 + 10
-    x, y = (round(float(v)) for v in smear.centre_px)
-    w, h = (int(np.ceil(v)) for v in reach)
-    return frame.patch(x - w, y - h, 2 * w + 1, 2 * h + 1)
-
-
 def _with_white(
-    one: Measurement, target: SharpTarget, located_frames: Sequence[_LocatedTargets], index: int
+    one: Measurement, target: SharpTarget, located_frames: Sequence[LocatedTargets], index: int
 ) -> Measurement:
     """A measurement, flagged `saturated` where the paper is at white level in all channels, at rest or moving.
 
@@ -228,35 +205,27 @@ def _with_white(
     if not np.isfinite(one.a_px).all():
         return one
     smears = [(located.frame, located.smears[index]) for located in located_frames]
-    white = any(smear is not None and frame.is_white(_cut(frame, target, smear)) for frame, smear in smears)
+    white = any(smear is not None and frame.is_white(cut_patch(frame, target, smear)) for frame, smear in smears)
     if white or Flag.SATURATED in target.flags:
         return replace(one, flags=one.flags | {Flag.SATURATED})
     return one
 
 
 def _measure_one(
-    camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
+    camera: PreparedCamera, located: LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
 ) -> list[Measurement]:
-    first, exposure = None, None
-    if is_cycle_count_unknown(window):
-        found, targets, cuts, _ = _fit_inputs(camera, located)
-        first = _measure_smears(camera, located, None, laws)
-        each = [first[index] for index in found]
-        nominal = None if window is None else (window.cycles, window.frequency_hz * window.sd_exposure_s)
-        exposure = estimate_window(targets, cuts, each, defocus=located.shift.defocus, expected=nominal)
-        if exposure.window is not None:
-            window, first = exposure.window, None
+    first, waveform = measure_first(camera, located, window, laws)
+    if waveform.window is not None:
+        window = waveform.window
     unknown = window is not None and window.phase_rad is None and is_part_cycle(window)
     if unknown and window is not None:
         # Axes do not depend on the opening phase: where it is unknown, any will do.
-        window, first = replace(window, phase_rad=0.0), None
+        window = replace(window, phase_rad=0.0)
     result = [
         _missing_target(located, target) if smear is None else not_found(target)
         for target, smear in zip(camera.targets, located.smears, strict=True)
     ]
-    if first is None:
-        first = _measure_smears(camera, located, window, laws)
-    for index, one in first.items():
+    for index, one in (first or measure_smears(camera, located, window, laws, waveform.harmonic)).items():
         seen = unknown and bool(np.isfinite(one.a_px).all())
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
     # What was not found may be where its neighbours say, behind something, or with the end of its label in its blur.
@@ -264,30 +233,14 @@ def _measure_one(
     rest_px = camera.centres_px + located.shift.at(camera.centres_px)
     expected = predict_missing(rest_px, located.smears)
     missing = replace(located, smears=[expected.get(index) for index in range(len(camera.targets))])
-    for index, one in _measure_smears(camera, missing, window, laws).items():
+    for index, one in measure_smears(camera, missing, window, laws, waveform.harmonic).items():
         on_label = camera.targets[index].outline is not None and bool(np.isfinite(one.a_px).all())
         if one.flags & {Flag.OCCLUDED, Flag.PAPER_EDGE} or (on_label and Flag.POOR_FIT not in one.flags):
             result[index] = one
-    return result if exposure is None else [with_relative_sd(one, exposure.relative_sd) for one in result]
+    return [with_relative_sd(one, waveform.relative_sd) for one in result]
 
 
-def _measure_smears(
-    camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
-) -> dict[int, Measurement]:
-    """Measure every target whose smear is known, by its index."""
-    found, targets, cuts, starts = _fit_inputs(camera, located)
-    each = measure_frame(
-        targets,
-        cuts,
-        window=window,
-        defocus=located.shift.defocus,
-        initial_guesses=starts,
-        harmonics=[laws.of(target.name) for target in targets],
-    )
-    return dict(zip(found, each, strict=True))
-
-
-def _missing_target(located: _LocatedTargets, target: SharpTarget) -> Measurement:
+def _missing_target(located: LocatedTargets, target: SharpTarget) -> Measurement:
     """A measurement without numbers, of a target that was not found: perhaps because all is at white level there."""
     lost = not_found(target)
     at = target.centre_px + located.shift.at(target.centre_px[None])[0]
@@ -296,23 +249,13 @@ def _missing_target(located: _LocatedTargets, target: SharpTarget) -> Measuremen
     return replace(lost, flags=lost.flags | white)
 
 
-def _fit_inputs(
-    camera: PreparedCamera, located: _LocatedTargets
-) -> tuple[list[int], list[SharpTarget], list[Patch], list[InitialGuess]]:
-    """Inputs of the fits: index of each target that was found, the target, its patch and its initial guess."""
-    seen = [(index, smear) for index, smear in enumerate(located.smears) if smear is not None]
-    targets = [camera.targets[index] for index, _ in seen]
-    cuts = [_cut(located.frame, target, smear) for target, (_, smear) in zip(targets, seen, strict=True)]
-    return [index for index, _ in seen], targets, cuts, [InitialGuess(s.centre_px, s.a_px, s.b_px) for _, s in seen]
-
-
 def _evidence(
-    camera: PreparedCamera, located: _LocatedTargets, window: ExposureWindow | None, measured: Sequence[Measurement]
+    camera: PreparedCamera, located: LocatedTargets, window: ExposureWindow | None, measured: Sequence[Measurement]
 ) -> tuple[float, ...]:
     """Evidence for the sign of each target's a; 0 where there is none."""
     if window is None or not is_part_cycle(window):
         return ()
-    found, targets, cuts, starts = _fit_inputs(camera, located)
+    found, targets, cuts, starts = fit_inputs(camera, located)
     signs = find_relative_signs(targets, cuts, window, defocus=located.shift.defocus, initial_guesses=starts)
     evidence = np.zeros(len(camera.targets))
     for index, vector, one, sign in zip(found, signs.vector_px, signs.evidence, signs.sign, strict=True):
@@ -324,7 +267,7 @@ def _evidence(
 
 def _measure_together(
     camera: PreparedCamera,
-    located_frames: Sequence[_LocatedTargets],
+    located_frames: Sequence[LocatedTargets],
     windows: Sequence[ExposureWindow | None],
     laws: MotionLaws,
 ) -> list[Measurement]:
@@ -354,7 +297,7 @@ def _flag_light(measured: list[Measurement], coded_frames: int) -> list[Measurem
 
 def _measure_phased(
     target: SharpTarget,
-    located_frames: Sequence[_LocatedTargets],
+    located_frames: Sequence[LocatedTargets],
     windows: Sequence[ExposureWindow],
     index: int,
     laws: MotionLaws,
@@ -363,7 +306,7 @@ def _measure_phased(
     for located, window in zip(located_frames, windows, strict=True):
         smear = located.smears[index]
         if smear is not None:
-            cuts.append(_cut(located.frame, target, smear))
+            cuts.append(cut_patch(located.frame, target, smear))
             starts.append(InitialGuess(smear.centre_px, smear.a_px, smear.b_px))
             blurs.append(located.shift.defocus)
             seen.append(window)
@@ -380,7 +323,7 @@ def _measure_phased(
     )
 
 
-def _measure_mccarthy2016(camera: PreparedCamera, located_frames: Sequence[_LocatedTargets]) -> list[Measurement]:
+def _measure_mccarthy2016(camera: PreparedCamera, located_frames: Sequence[LocatedTargets]) -> list[Measurement]:
     """The published method on every dot of a frame."""
     if len(located_frames) > 1:
         raise UsageError("the published method knows no phase; take the group out of capture.toml, or method fit")
@@ -391,7 +334,7 @@ def _measure_mccarthy2016(camera: PreparedCamera, located_frames: Sequence[_Loca
         if smear is None:
             found.append(not_found(target))
             continue
-        blurred = _cut(located_frames[0].frame, target, smear)
+        blurred = cut_patch(located_frames[0].frame, target, smear)
         named = replace(dot, name=target.name)
         one = solved(measure_mccarthy2016)(sharp, named, blurred, start_px=smear.centre_px)
         found.append(one if one is not None else replace(not_found(target), flags=frozenset({Flag.POOR_FIT})))

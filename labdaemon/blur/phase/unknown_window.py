@@ -19,12 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labdaemon.blur.motion import Defocus, ExposureWindow, Measurement
-from labdaemon.blur.patch.pixels import FloatArray, Patch
+from labdaemon.blur.motion import ExposureWindow
+from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.waveform_series import ORDERS, amplitude_error, free_window_transfer, window_series
-from labdaemon.blur.phase.window_evidence import WaveformEvidence, collect_evidence
+from labdaemon.blur.phase.window_evidence import WaveformEvidence
 from labdaemon.blur.settings import UNCERTAINTY
-from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 
@@ -72,22 +71,13 @@ class UnknownWindow:
         return None if self.cycles is None else ExposureWindow(1.0, self.cycles, None, sd_exposure_s=self.sd_cycles)
 
 
-def estimate_window(
-    sharps: Sequence[SharpTarget],
-    patches: Sequence[Patch],
-    measured: Sequence[Measurement],
-    *,
-    defocus: Defocus | None = None,
-    expected: tuple[float, float] | None = None,
-) -> UnknownWindow:
-    """Estimate the cycles in a frame's exposure from its targets.
+def estimate_window(evidence: Sequence[WaveformEvidence], expected: tuple[float, float] | None = None) -> UnknownWindow:
+    """The exposure that explains several targets of a frame.
 
     Parameters
     ----------
-    sharps, patches, measured
-        Each target, its part of the frame, and its motion as over whole cycles.
-    defocus
-        Of the frame.
+    evidence
+        Of targets with long straight paths; none leaves what is expected.
     expected
         Cycles and their standard deviation, where frequency and exposure are roughly known.
 
@@ -96,15 +86,7 @@ def estimate_window(
     UnknownWindow
         Without cycles where whole cycles are not excluded.
     """
-    return window_of(collect_evidence(sharps, patches, measured, defocus), expected)
-
-
-def window_of(evidence: Sequence[WaveformEvidence], expected: tuple[float, float] | None = None) -> UnknownWindow:
-    """The exposure that explains several targets of a frame; none leave what is expected."""
-    costs = np.array([_series_cost(one) for one in evidence]).reshape(-1, len(CYCLES), len(PHASES_RAD))
-    # Each target at any phase, all of which are equally likely.
-    least = costs.min(axis=2)
-    joint = np.sum(least - 2 * np.log(np.mean(np.exp(-(costs - least[..., None]) / 2), axis=2)), axis=0)
+    costs, joint = _joint_cost(evidence)
     prior, whole_probability = _cycles_prior(expected)
     low = float(joint.min())
     part = prior * np.exp(-(joint - low) / 2)
@@ -118,6 +100,19 @@ def window_of(evidence: Sequence[WaveformEvidence], expected: tuple[float, float
     probability = part / (part.sum() + whole)
     square = np.mean(amplitude_error(2 * np.pi * CYCLES[:, None], PHASES_RAD[None]) ** 2, axis=1)
     return UnknownWindow(None, 0.0, float(np.sqrt(probability @ square)))
+
+
+def window_gain(evidence: Sequence[WaveformEvidence]) -> float:
+    """By how many squared standard deviations the best exposure explains the images better than whole cycles."""
+    return -float(_joint_cost(evidence)[1].min())
+
+
+def _joint_cost(evidence: Sequence[WaveformEvidence]) -> tuple[FloatArray, FloatArray]:
+    """(targets, cycles, phases) cost of each target, and (cycles,) of all, each at any phase, all equally likely."""
+    costs = np.array([_series_cost(one) for one in evidence]).reshape(-1, len(CYCLES), len(PHASES_RAD))
+    least = costs.min(axis=2)
+    joint = np.sum(least - 2 * np.log(np.mean(np.exp(-(costs - least[..., None]) / 2), axis=2)), axis=0)
+    return costs, joint
 
 
 def _cycles_prior(expected: tuple[float, float] | None) -> tuple[FloatArray, float]:
