@@ -28,20 +28,26 @@ TABLE_STEP, MAX_ARGUMENT = 0.01, 200.0
 
 
 def series_transfer(fx: FloatArray, fy: FloatArray, p: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Transfer function by (vx, vy, q_1 … q_ORDERS, c) at q = c = 0, and its derivatives.
+    """Transfer function by (vx, vy, β², q_1 … q_ORDERS, c) at β² = q = c = 0, and its derivatives.
+
+    β is a minor axis, a quarter of a cycle later and across v: it is free, since a harmonic or a part cycle looks like
+    a small one.
 
     Parameters
     ----------
     fx, fy
         (rows, columns) frequencies, cycles a pixel.
     p
-        (ORDERS + 3,) only v counts: the function is meant for one look at the whole-cycle solution.
+        (ORDERS + 4,) only v counts: the function is meant for one look at the whole-cycle solution.
     """
     z = 2 * np.pi * (p[0] * fx + p[1] * fy)
     bessel = _bessel(np.asarray(z, np.float64))
     slope = -2 * np.pi * bessel[1]
     terms = [bessel[k] if k % 2 == 0 else -1j * bessel[k] for k in range(1, ORDERS + 1)]
-    slopes = np.stack([fx * slope, fy * slope, *terms, -z * bessel[3]])
+    size = max(float(np.hypot(p[0], p[1])), 1e-12)
+    across = 2 * np.pi * (p[0] * fy - p[1] * fx) / size
+    minor = -(across**2) * (bessel[0] + bessel[2]) / 4
+    slopes = np.stack([fx * slope, fy * slope, minor, *terms, -z * bessel[3]])
     return bessel[0].astype(np.complex128), slopes.astype(np.complex128)
 
 

@@ -29,8 +29,8 @@ BEST_PX = 7.0
 """Semi-amplitude that says most for its cost: shorter paths are blurred by the lens, longer ones by the paper."""
 LEAST_PX, LARGEST_PX = 1.0, 16.0
 """Semi-amplitudes that are asked."""
-STRAIGHT = 0.1
-"""Minor over major axis up to which a path is straight."""
+STRAIGHT = 0.2
+"""Minor over major axis up to which a path may be straight: a harmonic or a part cycle looks like a small one."""
 NO_EVIDENCE = frozenset({Flag.AT_REST, Flag.SATURATED, Flag.PAPER_EDGE, Flag.NOT_FOUND, Flag.MIXED_MOTION})
 
 
@@ -99,15 +99,16 @@ def waveform_evidence(
 def _series_equations(
     frame_set: FrameSet, solution: Solution, prior: Prior
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    k = len(solution.p)
-    extended = replace(solution, p=np.concatenate((solution.p, np.zeros(ORDERS + 1))))
+    extended = replace(solution, p=np.concatenate((solution.p, np.zeros(ORDERS + 2))))
     ((_, products, _),) = frame_products(frame_set, extended, _series_factory)
     normal, score = products[:-1, :-1].copy(), products[:-1, -1].copy()
+    k = len(solution.p)
     normal[:k, :k] += prior.precision
     score[:k] -= prior.precision @ (solution.p - prior.mean)
+    k += 1  # the minor axis
     inverse = scaled_inverse(normal[:k, :k])
     cross = normal[k:, :k] @ inverse
-    return normal[k:, k:] - cross @ normal[:k, k:], score[k:] - cross @ score[:k], -cross.T[-2:]
+    return normal[k:, k:] - cross @ normal[:k, k:], score[k:] - cross @ score[:k], -cross.T[-3:-1]
 
 
 def _series_factory(basis: FloatArray, weight: FloatArray) -> TransferFunction:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from labdaemon.blur import Defocus, Measurement, estimate_window, fit_sharp, with_relative_sd
+from labdaemon.blur import Defocus, Measurement, estimate_waveform, fit_sharp, with_relative_sd
 from labdaemon.blur.patch.pixels import Dot
-from labdaemon.blur.phase.unknown_window import window_of
+from labdaemon.blur.phase.unknown_window import estimate_window
 from labdaemon.blur.phase.waveform_series import (
     ORDERS,
     amplitude_error,
@@ -21,8 +21,8 @@ FY, FX = np.meshgrid(np.fft.fftfreq(24), np.fft.fftfreq(24), indexing="ij")
 def test_the_series_is_the_transfer_function_of_a_long_exposure() -> None:
     cycles, mu, v = 30.3, 0.7, np.array([1.1, -0.6])
     exact, _ = free_window_transfer(FX, FY, np.array([*v, mu, 2 * np.pi * cycles]))
-    plain, slopes = series_transfer(FX, FY, np.array([*v, *np.zeros(ORDERS + 1)]))
-    series = plain + np.tensordot(window_series(np.array(2 * np.pi * cycles), np.array(mu)), slopes[2:-1], axes=1)
+    plain, slopes = series_transfer(FX, FY, np.array([*v, *np.zeros(ORDERS + 2)]))
+    series = plain + np.tensordot(window_series(np.array(2 * np.pi * cycles), np.array(mu)), slopes[3:-1], axes=1)
     assert np.abs(series - exact).max() < 1e-4 < np.abs(plain - exact).max()
 
 
@@ -31,8 +31,17 @@ def test_the_third_harmonics_derivative() -> None:
     courses = [np.sin(angle) + sign * step * np.sin(3 * angle) for sign in (1, -1)]
     z = 2 * np.pi * (v[0] * FX + v[1] * FY)[..., None]
     ends = [np.exp(-1j * z * course).mean(axis=-1) for course in courses]
-    _, slopes = series_transfer(FX, FY, np.array([*v, *np.zeros(ORDERS + 1)]))
+    _, slopes = series_transfer(FX, FY, np.array([*v, *np.zeros(ORDERS + 2)]))
     np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), slopes[-1], atol=2e-4)
+
+
+def test_the_minor_axis_widens_the_path() -> None:
+    angle, v, minor = 2 * np.pi * (np.arange(256) + 0.5) / 256, np.array([1.1, -0.6]), 0.02
+    across = np.array([0.6, 1.1]) / np.hypot(*v)
+    paths = [np.outer(v, np.sin(angle)) + np.outer(b * across, np.cos(angle)) for b in (minor, 0.0)]
+    ends = [np.exp(-2j * np.pi * (FX[..., None] * x + FY[..., None] * y)).mean(axis=-1) for x, y in paths]
+    _, slopes = series_transfer(FX, FY, np.array([*v, *np.zeros(ORDERS + 2)]))
+    np.testing.assert_allclose((ends[0] - ends[1]) / minor**2, slopes[2], atol=4e-3)
 
 
 def test_derivatives_of_the_free_window() -> None:
@@ -81,7 +90,9 @@ def frame(area):  # type: ignore[no-untyped-def]
 
 
 def test_targets_together_show_the_cycles(frame) -> None:  # type: ignore[no-untyped-def]
-    found = estimate_window(*frame(3.4), defocus=STILL)
+    found = estimate_waveform(*frame(3.4), defocus=STILL).exposure
+    assert found is not None
+    assert found.cycles is not None
     assert found.cycles == pytest.approx(3.4, abs=0.03)
     assert found.window is not None
     assert found.window.cycles == found.cycles
@@ -89,18 +100,19 @@ def test_targets_together_show_the_cycles(frame) -> None:  # type: ignore[no-unt
 
 
 def test_whole_cycles_are_not_excluded_and_leave_little_open(frame) -> None:  # type: ignore[no-untyped-def]
-    found = estimate_window(*frame(5.0), defocus=STILL)
+    found = estimate_waveform(*frame(5.0), defocus=STILL).exposure
+    assert found is not None
     assert found.cycles is None
     assert found.window is None
     assert found.relative_sd < 2e-3
 
 
 def test_without_evidence_the_standard_deviation_is_what_any_exposure_may_do() -> None:
-    nothing = window_of([])
+    nothing = estimate_window([])
     assert nothing.cycles is None
     assert 4e-3 < nothing.relative_sd < 2e-2
     # A frequency and a shutter's nominal time say more.
-    assert window_of([], (5.0, 0.02)).relative_sd < 0.5 * nothing.relative_sd
+    assert estimate_window([], (5.0, 0.02)).relative_sd < 0.5 * nothing.relative_sd
 
 
 def test_a_relative_sd_widens_along_the_motion_only() -> None:
