@@ -52,7 +52,7 @@ on_fault = "retry"
 @click.option(
     "--serve",
     is_flag=True,
-    help="Keep going for clients, campaign after campaign, on fixed ports of loopback; prints lines to join with.",
+    help="Keep running for clients, campaign after campaign, on fixed ports of loopback; prints how clients connect.",
 )
 @click.option(
     "--modification",

@@ -1,4 +1,4 @@
-"""`labdaemon keys`: who may come in over the network. The daemon follows the list while it runs."""
+"""`labdaemon keys`: the keys of clients on the network. The daemon follows the list while it runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labdaemon.stream.roles import Role
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 def keys() -> None:
-    """Make, list and revoke the keys of clients that come in over the network.
+    """Make, list and revoke the keys of clients on the network.
 
     An observer hears events and reads; an operator commands, `stop` included.
     """
@@ -73,7 +73,7 @@ def make(config: Path, name: str, role: str, out: Path | None, as_json: bool) ->
 @config_argument
 @json_option
 def list_keys(config: Path, as_json: bool) -> None:
-    """The clients that get in."""
+    """List the clients that may connect."""
     clients = read_clients(_folder(config) / CLIENTS)
     if as_json:
         rows = [{"name": one.name, "role": str(one.role), "public": one.public} for one in clients]
@@ -90,7 +90,7 @@ def list_keys(config: Path, as_json: bool) -> None:
 @click.argument("name")
 @json_option
 def revoke(config: Path, name: str, as_json: bool) -> None:
-    """Take a client off the list; a daemon that runs ends its connections within seconds."""
+    """Remove a client from the list; a running daemon ends its connections within seconds."""
     folder = _folder(config)
     client = remove_client(folder / CLIENTS, name)
     _match_owner(folder)

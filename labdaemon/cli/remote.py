@@ -142,7 +142,7 @@ def submit(campaign: Path, request_id: str | None, address: str, as_json: bool) 
 @click.command()
 @address_options
 def status(address: str, as_json: bool) -> None:
-    """What the daemon is doing."""
+    """Show what the daemon does now."""
     from labdaemon.cli.progress import status_lines
 
     result = ask(address, "status")
@@ -196,7 +196,7 @@ def capture(label: str, sharp: bool, request_id: str | None, address: str, as_js
 @click.command()
 @address_options
 def stop(address: str, as_json: bool) -> None:
-    """Bring the shaker to rest now, whatever is going on."""
+    """Bring the shaker to rest now, whatever the daemon does at this moment."""
     try:
         result = ask(address, "stop", timeout_s=STOP_TIMEOUT_S)
     except NoDaemon as exc:
@@ -211,14 +211,14 @@ def stop(address: str, as_json: bool) -> None:
 @click.command()
 @click.option("--events", "events_address", metavar="TCP", help="The events address; by default the daemon is asked.")
 @click.option("--after", type=click.IntRange(min=0), help="Begin after this event of the journal.")
-@click.option("--until-end", is_flag=True, help="Leave when the campaign ends; exit 0 only if it completed.")
+@click.option("--until-end", is_flag=True, help="End when the campaign ends; exit 0 only if it completed.")
 @click.option(
     "--patience",
     type=click.FloatRange(min=1.0),
     default=60.0,
     show_default=True,
     metavar="S",
-    help="How long the daemon may be silent, as while it is started again, before this gives up.",
+    help="Longest silence of the daemon, for example while it is started again; after that the command fails.",
 )
 @address_options
 def watch(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     "--data", type=click.Path(file_okay=False, path_type=Path), help="Folder for everything it writes.", metavar="DIR"
 )
 @click.option("--new-journal", is_flag=True, help="Set a damaged journal aside and begin another.")
-@click.option("--accept-changed-rig", is_flag=True, help="Go on with campaigns planned for another rig file.")
+@click.option("--accept-changed-rig", is_flag=True, help="Continue campaigns that were planned with another rig file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as JSON once it serves.")
 def run(config: Path, data: Path | None, new_journal: bool, accept_changed_rig: bool, as_json: bool) -> None:
     """Run the daemon for the rig of CONFIG until Ctrl-C or SIGTERM."""
@@ -69,7 +69,7 @@ def _unrested(exc: LabdaemonError, held: TableClaim) -> LabdaemonError:
 @click.argument("config", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def safe_stop(config: Path, as_json: bool) -> None:
-    """Bring the table of CONFIG to rest, by its daemon where one lives, else by shaker and trigger and nothing else."""
+    """Bring the table of CONFIG to rest: through its daemon, or where none runs through shaker and trigger directly."""
     from labdaemon.service.safe_stop import stop_table
 
     said = stop_table(config)

@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from labdaemon.testing.free_port import free_port
+
 pytestmark = pytest.mark.slow
 
 STEPS = """
@@ -114,8 +116,7 @@ def test_a_shaker_that_never_answers_or_answers_rubbish(run, config: Path, rig, 
 
 
 def test_a_shaker_that_comes_late_is_brought_to_rest_then(run, config: Path, rig):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = server.getsockname()
+    address = ("127.0.0.1", free_port())
     config.write_text(config.read_text().replace(rig.addresses.ports["shaker"], "socket://{}:{}".format(*address)))
     daemon = run().ready()
     assert daemon.ask("status")["table"] == "unconfirmed"
@@ -130,8 +131,16 @@ def forward(server: socket.socket, target: tuple[str, int]) -> None:
     with suppress(OSError):
         while True:
             near, far = server.accept()[0], socket.create_connection(target)
-            for one, other in ((near, far), (far, near)):
-                threading.Thread(target=pump, args=(one, other), daemon=True).start()
+            threading.Thread(target=relay, args=(near, far), daemon=True).start()
+
+
+def relay(near: socket.socket, far: socket.socket) -> None:
+    """Pass bytes in both directions until one side ends; both are closed then, by no garbage collection."""
+    with near, far:
+        back = threading.Thread(target=pump, args=(far, near), daemon=True)
+        back.start()
+        pump(near, far)
+        back.join()
 
 
 def pump(one: socket.socket, other: socket.socket) -> None:
