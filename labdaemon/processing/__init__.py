@@ -9,7 +9,14 @@ from labdaemon.processing.boards import CharucoBoard
 from labdaemon.processing.calibration import CameraCalibration, board_files, calibrate, read_board
 from labdaemon.processing.control import check_family
 from labdaemon.processing.envelope import CaptureResult, join_motions, measure_capture, measure_in_folder
-from labdaemon.processing.excitation_facts import CaptureFacts, TableAmplitude, capture_facts, is_positive, table_motion
+from labdaemon.processing.excitation_facts import (
+    CaptureFacts,
+    TableAmplitude,
+    capture_facts,
+    is_positive,
+    shows_phase,
+    table_motion,
+)
 from labdaemon.processing.folder import NOT_FRAMES, DataFolder, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
 from labdaemon.processing.frame_size import check_frame_sizes
@@ -89,6 +96,7 @@ __all__ = [
     "read_csv",
     "read_targets",
     "sharp_sets",
+    "shows_phase",
     "stamps",
     "table_motion",
     "write_csv",

@@ -122,11 +122,11 @@ def _joined(members: list[tuple[str, Mapping[str, Any]]]) -> CaptureFacts:
         opened_at=str(last["opened_at"]) if "opened_at" in last else None,
         table=table_motion(last),
         captures=tuple(name for name, _ in members),
-        is_phase_known=_shows_phase([about for _, about in members]),
+        is_phase_known=shows_phase([about for _, about in members]),
     )
 
 
-def _shows_phase(members: list[Mapping[str, Any]]) -> bool:
+def shows_phase(members: list[Mapping[str, Any]]) -> bool:
     """Whether a group's vectors are signed: coded light, or two openings of known phase that saw part cycles."""
     if any("light" in about and "light_phase_rad" in about for about in members):
         return True

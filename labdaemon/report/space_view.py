@@ -36,23 +36,25 @@ def space_json(captures: Sequence[SpaceCapture]) -> str:
     One object per capture: ``name``, ``frequency``, ``phase``, ``magnify``, and ``targets`` of
     ``[name, x, y, z, ax, ay, az, bx, by, bz, amplitude, doubtful]``, millimetres.
     """
-    shown = []
-    for capture in captures:
-        targets = [_target(row) for row in capture.rows if row_axes(row) is not None and row.get("x_mm") is not None]
-        if targets:
-            places, sure = [row[1:4] for row in targets], [row[10] for row in targets if not row[11]]
-            shown.append(
-                {
-                    "name": capture.name,
-                    "frequency": capture.frequency_hz,
-                    "phase": capture.is_phase_known,
-                    "magnify": magnification(places, sure),
-                    "targets": targets,
-                }
-            )
+    shown = [one for capture in captures if (one := space_object(capture)) is not None]
     text = json.dumps(shown, separators=(",", ":"), allow_nan=False)
     # "</" could end the element, "<!--" begins a state in which it cannot end.
     return text.replace("<", "\\u003c")
+
+
+def space_object(capture: SpaceCapture) -> dict[str, Any] | None:
+    """One capture as `space_json` gives it; None where nothing was measured."""
+    targets = [_target(row) for row in capture.rows if row_axes(row) is not None and row.get("x_mm") is not None]
+    if not targets:
+        return None
+    places, sure = [row[1:4] for row in targets], [row[10] for row in targets if not row[11]]
+    return {
+        "name": capture.name,
+        "frequency": capture.frequency_hz,
+        "phase": capture.is_phase_known,
+        "magnify": magnification(places, sure),
+        "targets": targets,
+    }
 
 
 def _target(row: Mapping[str, Any]) -> list[Any]:

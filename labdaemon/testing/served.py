@@ -62,6 +62,7 @@ class FakeDaemon:
         self.hold.set()
         self.outbox: FakeOutbox = FakeOutbox()
         self.shots: int = 0
+        self.data: str | None = None
 
     def methods(self) -> list[str]:
         return [method for method, _, _ in self.asked]
@@ -88,6 +89,7 @@ class FakeDaemon:
                     "campaign": None,
                     "captures_manual": self.shots,
                     "faults": 0,
+                    "data": self.data,
                 }
             case "stop":
                 result = {"rest": "soft", "table": "rest", "troubles": []}

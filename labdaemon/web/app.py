@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import logging
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from starlette.applications import Starlette
@@ -19,17 +17,17 @@ from starlette.types import ASGIApp
 from labdaemon.off_loop import off_loop
 from labdaemon.report.envelope_csv import envelope_csv
 from labdaemon.stream import messages
-from labdaemon.stream.command_call import CommandAnswer, Execute, call_command, last_of_kind
-from labdaemon.stream.event_feed import EventFeed
-from labdaemon.stream.peer_log import PeerLog
+from labdaemon.stream.command_call import CommandAnswer, call_command, last_of_kind
 from labdaemon.stream.roles import Role
 from labdaemon.stream.text_limits import bounded_text, parse_json, surrogate_in
-from labdaemon.web.event_stream import EventStreamResponse, first_seq
-from labdaemon.web.guard import RequestGuard, WebAccess
+from labdaemon.web.event_stream import CountedStream, first_seq
+from labdaemon.web.guard import RequestGuard
+from labdaemon.web.live_events import live_event_routes
+from labdaemon.web.live_frame import live_frame_route
 from labdaemon.web.live_page import live_routes
+from labdaemon.web.web_context import WebContext
 
 MAX_BODY_BYTES = 1 << 20
-MOST_STREAMS = 32
 STATUS_OF = {
     messages.PARSE_ERROR: 400,
     messages.INVALID_REQUEST: 400,
@@ -47,34 +45,6 @@ STATUS_OF = {
 log: logging.Logger = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class WebContext:
-    """What the application answers from.
-
-    Attributes
-    ----------
-    execute
-        Carries commands out; called on the web server's own loop.
-    feed
-        Committed events, on the same loop.
-    access
-        Who may what.
-    peers
-        Where refusals are logged.
-    closing
-        Set when the server ends: answers that do not end by themselves end then.
-    streams
-        Event streams that are being sent.
-    """
-
-    execute: Execute
-    feed: EventFeed
-    access: WebAccess
-    peers: PeerLog
-    closing: asyncio.Event = field(default_factory=asyncio.Event)
-    streams: int = 0
-
-
 def make_app(context: WebContext, pages: Sequence[BaseRoute] = ()) -> ASGIApp:
     """The application.
 
@@ -84,6 +54,8 @@ def make_app(context: WebContext, pages: Sequence[BaseRoute] = ()) -> ASGIApp:
         Further routes, as of a live page; they are guarded like all others.
     """
     routes = [
+        *live_event_routes(context),  # before the page's files, whose path has any name
+        live_frame_route(context),
         *live_routes(),
         Route("/status", _reading(context, "status")),
         Route("/campaigns", _reading(context, "campaign.list")),
@@ -152,29 +124,9 @@ def _events(context: WebContext) -> Endpoint:
             after = first_seq(request.query_params, request.headers.get("last-event-id"))
         except ValueError as exc:
             raise HTTPException(400, str(exc)) from None
-        if context.streams >= MOST_STREAMS:
-            raise HTTPException(503, f"all {MOST_STREAMS} event streams are taken")
-        return _CountedStream(context, EventStreamResponse(context.feed, after, context.closing))
+        return CountedStream(context, after)
 
     return answer
-
-
-class _CountedStream(Response):
-    """An event stream that is counted while it is sent."""
-
-    def __init__(self, context: WebContext, stream: EventStreamResponse) -> None:
-        super().__init__()
-        self._context, self._stream = context, stream
-
-    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        if scope["method"] == "HEAD":
-            await super().__call__(scope, receive, send)
-            return
-        self._context.streams += 1
-        try:
-            await self._stream(scope, receive, send)
-        finally:
-            self._context.streams -= 1
 
 
 def _command(context: WebContext) -> Endpoint:

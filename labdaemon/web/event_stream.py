@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from typing import Protocol
 
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from labdaemon.errors import StorageUnavailable
 from labdaemon.journal.event import EventText
 from labdaemon.stream.event_feed import EventFeed
+from labdaemon.web.web_context import WebContext
 
 HEARTBEAT_S = 5.0
 RETRY_MS = 1000
 """How soon a browser connects again."""
 DISK_S = 1.0
 LONGEST_SEQ = 1 << 62
+MOST_STREAMS = 32
 
 
 class EndSignal(Protocol):
@@ -64,10 +68,18 @@ class EventStreamResponse:
         Send everything after this `seq`; None for what comes from now on.
     closing
         Set when the server ends.
+    lines
+        Makes the lines of an event; its own JSON by default.
     """
 
-    def __init__(self, feed: EventFeed, after: int | None, closing: EndSignal) -> None:
-        self._feed, self._after, self._closing = feed, after, closing
+    def __init__(
+        self,
+        feed: EventFeed,
+        after: int | None,
+        closing: EndSignal,
+        lines: Callable[[EventText], bytes] = event_lines,
+    ) -> None:
+        self._feed, self._after, self._closing, self._lines = feed, after, closing, lines
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send until the client leaves or the server ends."""
@@ -115,7 +127,7 @@ class EventStreamResponse:
             if events[0].seq > seq + 1:  # what was between was cut from the journal
                 yield b'event: gone\ndata: {"gone_before": %d}\n\n' % events[0].seq
             for event in events:
-                yield event_lines(event)
+                yield self._lines(event)
                 seq = event.seq
 
 
@@ -126,3 +138,40 @@ async def _until_left(receive: Receive) -> None:
 
 async def _until(closing: EndSignal) -> None:
     await closing.wait()
+
+
+class CountedStream(Response):
+    """An event stream that is counted while it is sent.
+
+    Parameters
+    ----------
+    context
+        The server's.
+    after, lines
+        As for `EventStreamResponse`.
+
+    Raises
+    ------
+    HTTPException
+        There are too many streams already.
+    """
+
+    def __init__(
+        self, context: WebContext, after: int | None, lines: Callable[[EventText], bytes] = event_lines
+    ) -> None:
+        super().__init__()
+        if context.streams >= MOST_STREAMS:
+            raise HTTPException(503, f"all {MOST_STREAMS} event streams are taken")
+        self._context = context
+        self._stream = EventStreamResponse(context.feed, after, context.closing, lines)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it; a HEAD gets its headers alone."""
+        if scope["method"] == "HEAD":
+            await super().__call__(scope, receive, send)
+            return
+        self._context.streams += 1
+        try:
+            await self._stream(scope, receive, send)
+        finally:
+            self._context.streams -= 1

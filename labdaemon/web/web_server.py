@@ -22,9 +22,10 @@ from labdaemon.stream.peer_log import PeerLog
 from labdaemon.stream.publisher import Outbox
 from labdaemon.stream.roles import Role
 from labdaemon.stream.tcp_listener import listen_tcp
-from labdaemon.web.app import WebContext, make_app
+from labdaemon.web.app import make_app
 from labdaemon.web.guard import WebAccess
 from labdaemon.web.http_protocol import BoundedHttpProtocol
+from labdaemon.web.web_context import WebContext
 
 HEAD_BYTES = 16 << 10
 """Longest that a request's line and headers may be."""

@@ -356,7 +356,7 @@ async def test_what_is_no_seq_is_refused(serve, ask):
 
 
 async def test_streams_are_bounded_and_end_with_the_server(serve, ask, listen, monkeypatch):
-    monkeypatch.setattr("labdaemon.web.app.MOST_STREAMS", 2)
+    monkeypatch.setattr("labdaemon.web.event_stream.MOST_STREAMS", 2)
     server = serve()
     sources = [await listen(server, "/events") for _ in range(2)]
     for source in sources:

@@ -1,12 +1,11 @@
 // The live page: status once a second, events as they are committed. Everything that grows has an end.
 "use strict";
 (function () {
-  const MOST_ENVELOPES = 24, MOST_EVENTS = 60, SILENT_S = 5;
+  const MOST_ENVELOPES = 24, MOST_EVENTS = 60, MOST_CAMERAS = 8, SILENT_S = 5;
   const at = (id) => document.getElementById(id);
-  const show = spaceView(at("space")), envelopes = [], signed = [];
-  let heard = Date.now(), journal = null;
+  const show = spaceView(at("space")), envelopes = [];
+  let heard = Date.now(), journal = null, cameras = [];
   const text = (value) => (value === null || value === undefined ? "–" : String(value));
-  const number = (value, digits) => (typeof value === "number" ? value.toFixed(digits) : "–");
   function cells(row, values) {
     values.forEach((value, k) => {
       const cell = row.insertCell();
@@ -19,61 +18,73 @@
     rows.forEach((values) => cells(body.insertRow(), values));
     at(id).tBodies[0].replaceWith(body);
   }
-  const dot = (p, q) => p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
-  function axes(t) { // semi-major axis of the orbit, mm
-    const a = [t.ax_mm || 0, t.ay_mm || 0, t.az_mm || 0], b = [t.bx_mm || 0, t.by_mm || 0, t.bz_mm || 0];
-    const sum = (dot(a, a) + dot(b, b)) / 2, difference = (dot(a, a) - dot(b, b)) / 2;
-    return Math.sqrt(sum + Math.hypot(difference, dot(a, b)));
-  }
-  const doubtful = (flags) => flags.some((flag) => flag !== "at_rest" && flag !== "contradicts_group");
-  function envelope(event) {
-    const data = event.data, seen = data.targets.filter((t) => t.ax_mm !== null && t.ax_mm !== undefined && t.x_mm !== null);
-    const names = ["x", "y", "z", "ax", "ay", "az", "bx", "by", "bz"];
-    const targets = seen.map((t) => [t.target, ...names.map((n) => t[n + "_mm"] || 0), axes(t), doubtful(t.flags || []) ? 1 : 0]);
-    fill("targets", data.targets.map((t) => [
-      t.target, t.ax_mm === null || t.ax_mm === undefined ? "–" : number(axes(t), 4),
-      number(Math.max(t.sd_ax_mm || 0, t.sd_ay_mm || 0, t.sd_az_mm || 0), 4), (t.flags || []).join(", ")]));
-    if (!targets.length) return;
-    const sizes = [1, 2, 3].map((k) => Math.max(...targets.map((t) => t[k])) - Math.min(...targets.map((t) => t[k])));
-    const largest = Math.max(...targets.map((t) => (t[11] ? 0 : t[10]))), wanted = (0.1 * Math.hypot(...sizes)) / (largest || 1);
-    const power = Math.pow(10, Math.floor(Math.log10(wanted || 1)));
-    const magnify = Math.max(1, [1, 2, 5].map((k) => k * power).filter((k) => k <= wanted).pop() || 1);
-    envelopes.push({ name: data.capture, frequency: data.frequency_hz, phase: signed.includes(data.capture), magnify: magnify, targets: targets });
+  function envelope(shown) {
+    fill("targets", shown.rows);
+    document.body.dataset.seq = shown.seq;
+    if (!shown.space) return;
+    envelopes.push(shown.space);
     while (envelopes.length > MOST_ENVELOPES) envelopes.shift();
     at("none").hidden = true;
     show(envelopes, envelopes.length - 1);
-    document.body.dataset.seq = event.seq;
   }
-  function capture(event) {
-    const data = event.data, opened = typeof data.phase_rad === "number";
-    if (data.light ? typeof data.light_phase_rad === "number" : data.group && opened) signed.push(data.group || data.capture);
-    while (signed.length > MOST_ENVELOPES) signed.shift();
-    fill("gauges", (event.data.gauges || []).map((g) => [
-      g.gauge, text(g.role), number(g.amplitude_mm, 4), number(g.sd_amplitude_mm, 4), number(g.phase_rad, 3), g.reason || ""]));
+  // One request at a time for each camera: what comes meanwhile is asked for afterwards, and only the last of it.
+  function frames(seq) {
+    cameras.forEach((camera) => {
+      const image = camera.image;
+      camera.wanted = seq;
+      if (camera.asked) return;
+      const next = () => {
+        camera.asked = camera.wanted;
+        image.src = "/live/frame/" + encodeURIComponent(camera.name) + ".jpg?seq=" + camera.asked;
+      };
+      const done = (worked) => {
+        camera.box.hidden = !worked && !camera.shown;
+        camera.shown = camera.shown || worked;
+        const again = camera.wanted !== camera.asked;
+        camera.asked = null;
+        if (again) next();
+      };
+      image.onload = () => done(true);
+      image.onerror = () => done(false);
+      next();
+    });
   }
-  function line(event) {
-    const body = at("events").tBodies[0], row = body.insertRow(0), data = event.data || {};
-    const about = [data.capture || data.label || data.name, data.device, data.message || data.reason].filter(Boolean).join(" · ");
-    cells(row, [new Date(event.at).toLocaleTimeString(), event.kind, about]);
-    row.lastChild.className = event.kind === "fault" ? "flags" : "";
+  function capture(shown) {
+    fill("gauges", shown.gauges);
+    if (cameras.map((one) => one.name).join() === shown.cameras.join()) return;
+    cameras = shown.cameras.slice(0, MOST_CAMERAS).map((name) => {
+      const box = document.createElement("figure"), image = document.createElement("img"), about = document.createElement("figcaption");
+      image.alt = about.textContent = name + ": the last frame, with the vectors as soon as they are measured";
+      box.hidden = true;
+      box.append(image, about);
+      return { name: name, image: image, box: box, asked: null, wanted: null, shown: false };
+    });
+    at("frames").replaceChildren(...cameras.map((one) => one.box));
+  }
+  function take(shown) {
+    if (shown.kind === "envelope") envelope(shown);
+    if (shown.kind === "capture.completed") capture(shown);
+    if (shown.kind === "envelope" || shown.kind === "capture.completed") frames(shown.seq);
+  }
+  function line(shown) {
+    const body = at("events").tBodies[0], row = body.insertRow(0);
+    cells(row, [new Date(shown.at).toLocaleTimeString(), shown.kind, shown.about]);
+    row.lastChild.className = shown.kind === "fault" ? "flags" : "";
     while (body.rows.length > MOST_EVENTS) body.deleteRow(-1);
   }
-  const kinds = ["campaign.started", "campaign.paused", "campaign.resumed", "campaign.completed", "campaign.aborted",
-    "campaign.failed", "step.started", "step.completed", "step.skipped", "capture.completed", "envelope", "fault"];
   function listen(after) {
-    const source = new EventSource(after === null ? "/events" : "/events?after=" + after);
+    const source = new EventSource(after === null ? "/live/events" : "/live/events?after=" + after);
     source.addEventListener("journal", (message) => {
       const about = JSON.parse(message.data);
       if (journal !== null && journal !== about.journal) location.reload(); // another history
       journal = about.journal;
     });
-    kinds.forEach((kind) => source.addEventListener(kind, (message) => {
-      const event = JSON.parse(message.data);
-      line(event);
-      if (kind === "envelope") envelope(event);
-      if (kind === "capture.completed") capture(event);
-      if (kind.startsWith("campaign.")) queue();
-    }));
+    source.onmessage = (message) => {
+      const shown = JSON.parse(message.data);
+      line(shown);
+      take(shown);
+      if (shown.kind.startsWith("campaign.")) queue();
+    };
   }
   function say(problem) {
     at("alarm").hidden = !problem;
@@ -105,11 +116,11 @@
   async function ask(path) {
     const answer = await fetch(path, { cache: "no-store" });
     if (!answer.ok) throw new Error(path + " answers " + answer.status);
-    return (await answer.json()).result;
+    return answer.json();
   }
   async function queue() {
     try {
-      const found = await ask("/campaigns");
+      const found = (await ask("/campaigns")).result;
       fill("queue", (found.campaigns || []).map((one) => [text(one.id), text(one.name), one.state + (one.reason ? ": " + one.reason : "")]));
     } catch (problem) { // the next event of a campaign asks again
       fill("queue", []);
@@ -117,7 +128,7 @@
   }
   async function beat() {
     try {
-      status(await ask("/status"));
+      status((await ask("/status")).result);
       heard = Date.now();
     } catch (problem) {
       if (Date.now() - heard > SILENT_S * 1000) say("The daemon is silent. What is shown is old.");
@@ -127,10 +138,9 @@
   async function start() {
     let after = null;
     try { // the last of each kind first, so that the page is never empty on a running rig
-      const last = await ask("/latest");
+      const last = await ask("/live/latest");
       after = last.last;
-      (last.events || []).filter((e) => e.kind === "capture.completed").forEach(capture);
-      (last.events || []).filter((e) => e.kind === "envelope").forEach(envelope);
+      last.events.forEach(take);
     } catch (problem) { // nothing yet: events will come
       at("none").hidden = false;
     }
