@@ -229,8 +229,12 @@ class ScpiLink:
                     raise
                 break
             if answer.decode("ascii", "replace").strip() == self._identity:
-                self._dirty = False
-                return
+                if not self._line.discard():
+                    self._dirty = False
+                    return
+                self._line.write(
+                    self._commands.identify.encode("ascii") + b"\n"
+                )  # that was a late answer to an earlier one
             heard = answer
         raise ProtocolError(
             f"does not come back into step (answers {(heard or b'')[:40]!r}, which is no text of its own); check baud "

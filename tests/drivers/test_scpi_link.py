@@ -36,8 +36,8 @@ class Late(WireDevice):
 def link_to():
     opened = []
 
-    def make(late: list[str]) -> ScpiLink:
-        port = TcpPort(Late(late))
+    def make(device: Late) -> ScpiLink:
+        port = TcpPort(device)
         line = SerialLine("shaker", PortSettings(port=port.url, timeout_s=20.0))
         line.open()
         opened.extend((line, port))
@@ -50,16 +50,26 @@ def link_to():
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_late_answers_are_no_identity(link_to, count):
-    link = link_to(["0"] * count)
+    link = link_to(Late(["0"] * count))
     assert link.identify() == IDENTITY
     assert link.query_switch("OUTP?")
 
 
 @pytest.mark.parametrize("late", [["0"] * 8, [IDENTITY, IDENTITY, "0"], ["0", IDENTITY, IDENTITY, "0", "0"]])
 def test_a_row_of_late_answers_never_says_that_the_output_is_off(link_to, late):
-    link = link_to(late)
+    link = link_to(Late(late))
     try:
         link.identify()
     except ProtocolError:
         link.identify()  # what was late has come by now
+    assert link.query_switch("OUTP?")
+
+
+def test_coming_back_into_step_a_late_identity_is_not_the_last_answer(link_to):
+    """Two questions had no answer in time, and both come later: who it is, and that the output was off then."""
+    device = Late([])
+    link = link_to(device)
+    link.identify()
+    device.send(b"what?\n")  # no switch's answer: the link asks for the identity before it asks again
+    device.late = [IDENTITY, "0"]
     assert link.query_switch("OUTP?")
