@@ -131,7 +131,9 @@ def run_planned(
             camera.sheet += 1
             sharp = camera.sharp_target()
         phase_rad = math.pi * (trial + rng.uniform()) / count
-        patches = [camera.photograph(camera.motion(window, phase_rad), _brightness(window)) for window in windows]
+        patches = [
+            camera.photograph(camera.motion(window, phase_rad), exposure_brightness(window)) for window in windows
+        ]
         still = Defocus(0.0, 0.1)
         if shows_phase:
             found = measure_group(sharp, patches, windows, defocus=still)
@@ -146,7 +148,8 @@ def run_planned(
     return PlannedTrials(*predicted, float(rms[0]), float(rms[1]) if shows_phase else math.nan, flagged, count)
 
 
-def _brightness(window: ExposureWindow) -> float:
+def exposure_brightness(window: ExposureWindow) -> float:
+    """Light that an exposure gets, over that of `NOMINAL_S` at full brightness."""
     return window.exposure_s / NOMINAL_S * light_fraction(window)
 
 
@@ -184,12 +187,12 @@ class DotCamera:
             Dot(self._half + 0.3, self._half - 0.2, radius_px, radius_px, 0.0, name="T"), patches, noise=NOISE
         )
 
-    def motion(self, window: ExposureWindow, phase_rad: float) -> Motion:
+    def motion(self, window: ExposureWindow, phase_rad: float, scale: float = 1.0) -> Motion:
         """The motion over an exposure, by the light that it gets: time runs from 0 to 1 as light comes in."""
         angle_of = _angles(window)
 
         def displacement(t: FloatArray) -> FloatArray:
-            along = self._amplitude_mm * np.sin(angle_of(np.asarray(t, np.float64)) + phase_rad)
+            along = scale * self._amplitude_mm * np.sin(angle_of(np.asarray(t, np.float64)) + phase_rad)
             return np.asarray(along[:, None] * self._direction, np.float64)
 
         return displacement

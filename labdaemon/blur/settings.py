@@ -113,6 +113,10 @@ class OcclusionSettings:
     """Residuals at which the biweight becomes zero, in the successive fits of a motion."""
     fitted_motions: int = 6
     """Best-ranked motions that are fitted."""
+    refined_motions: int = 2
+    """Distinct results of these that are fitted further."""
+    same_motion_px: float = 0.3
+    """Difference of place and amplitude from which two results are distinct."""
     outlier_limit: float = 4.0
     """Smoothed residual, in standard deviations, from which a pixel is an outlier."""
     margins_px: tuple[int, int] = (2, 4)

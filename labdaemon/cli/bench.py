@@ -25,6 +25,7 @@ ELSEWHERE = {
         "planned",
         "real",
         "windows",
+        "groups",
     )
 } | {name: f"labdaemon.bench.{name}.command:command" for name in ("world", "stream")}
 """Subcommands defined in the benches' own modules; imported only when called."""

@@ -25,6 +25,12 @@ def test_a_card_covers_its_target_and_nothing_else():
     assert np.mean(covered.values[150, 180:220]) < 0.5 * np.mean(whole.values)
 
 
+def test_a_cluttered_card_has_spots_of_the_size_of_dots():
+    plain, spots = (cover(frame(), np.array([[200.0, 150.0]]), clutter=c).values[110:190, 160:240] for c in (0.0, 0.17))
+    assert np.std(spots) > 5 * np.std(plain)
+    assert np.mean(np.abs(np.diff(spots.astype(float), axis=0))) < 0.3 * np.std(spots), "smooth over several pixels"
+
+
 def test_a_card_at_the_border_is_cut():
     assert cover(frame(), np.array([[3.0, 299.0]])).values.shape == (300, 400)
 

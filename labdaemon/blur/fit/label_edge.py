@@ -68,10 +68,12 @@ def measure_on_label(
     if outline.nearest_px > radius + 2.0 * longest + LABEL_EDGE.holding_margin_px:
         return attempt(patch, _place(guess), True)  # no such path brings the end of the label near
     trials = rank_trials(sharp, outline, patch, [np.asarray(guess.centre_px, dtype=np.float64)])
-    better = _first_determined(sharp, outline, patch, [trial for _, trial in trials], attempt)
+    explained = trials[0][0] if trials else 0.0
+    # Where no path explains what is seen, fits from those paths cannot either.
+    followed = [trial for value, trial in trials if value >= LABEL_EDGE.least_explained]
+    better = _first_determined(sharp, outline, patch, followed, attempt)
     if better is not None and is_determined(better, sharp):
         return better
-    explained = trials[0][0] if trials else 0.0
     seen = [guess] if explained < LABEL_EDGE.least_explained else [guess, trials[0][1]]
     if all(outline.holds(radius + LABEL_EDGE.holding_margin_px, *_axes(one)) for one in seen):
         return attempt(_masked(outline, patch, guess), _place(guess), True)

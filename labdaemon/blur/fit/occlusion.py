@@ -178,18 +178,33 @@ def _fit_consensus(
     ]
     near.sort(key=lambda p: disagreement(p, light, OCCLUSION.ranking_limit))
     prior = nuisance_prior(sharp, blur, 2)
-    best: Solution | None = None
-    least = np.inf
-    for start in near[: OCCLUSION.fitted_motions]:
-        p, its_light = start, light
-        for sigmas in OCCLUSION.biweight_limits:
-            found = solve(planes, _biweight(planes, base, sigmas), model, p, prior, light=its_light)
-            p, its_light = found.p, found.light
-        remains = disagreement(p, its_light, OCCLUSION.biweight_limits[-1])
-        if best is None or remains < least:
-            best, least = found, remains
-    assert best is not None
-    return best
+    first, *stricter = OCCLUSION.biweight_limits
+
+    def fitted(p: FloatArray, its_light: FloatArray, sigmas: float) -> Solution:
+        return solve(planes, _biweight(planes, base, sigmas), model, p, prior, light=its_light)
+
+    def remains(found: Solution) -> float:
+        return disagreement(found.p, found.light, OCCLUSION.biweight_limits[-1])
+
+    # Most starts lead to the same motion: only what differs, and differs little from the patch, is fitted further.
+    kept = _distinct_motions([fitted(start, light, first) for start in near[: OCCLUSION.fitted_motions]], remains)
+    for sigmas in stricter:
+        kept = [fitted(one.p, one.light, sigmas) for one in kept]
+    return min(kept, key=remains)
+
+
+def _distinct_motions(found: list[Solution], cost: Callable[[Solution], float]) -> list[Solution]:
+    """The best of some fits, without those that are nearly the same as a better one."""
+    kept: list[Solution] = []
+    for one in sorted(found, key=cost):
+        place, a = one.p[:2], one.p[-2:]
+        if all(
+            np.hypot(*(place - other.p[:2])) + min(np.hypot(*(a - other.p[-2:])), np.hypot(*(a + other.p[-2:])))
+            > OCCLUSION.same_motion_px
+            for other in kept
+        ):
+            kept.append(one)
+    return kept[: OCCLUSION.refined_motions]
 
 
 def _distinct(places: list[FloatArray], sharp: SharpTarget) -> list[FloatArray]:
