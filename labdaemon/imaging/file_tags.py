@@ -96,6 +96,8 @@ class FileTags:
         The body's serial number, empty if not written.
     exposure_s
         Exposure as the camera states it; None if not written.
+    compression
+        TIFF's number of how the RAW pixels are compressed; 1 for not at all, or not known.
     """
 
     is_raw: bool
@@ -104,6 +106,7 @@ class FileTags:
     taken_at: datetime | None = None
     serial: str = ""
     exposure_s: float | None = None
+    compression: int = 1
 
 
 def read_tags(path: Path) -> FileTags:
@@ -113,7 +116,8 @@ def read_tags(path: Path) -> FileTags:
     ------
     DataError
         The file is cut short, holds no pixels, its directories are damaged, or its pixels are of a kind that cannot be
-        measured: floating-point values, or a colour filter that does not repeat every two pixels.
+        measured: floating-point values, several values for a pixel of the mosaic, several exposures, or a colour filter
+        that does not repeat every two pixels.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -131,6 +135,7 @@ def read_tags(path: Path) -> FileTags:
     if main:
         largest = max(main, key=_pixels)
         _check_kind(path, largest)
+        _check_single_exposure(path, main, largest)
         _check_content(path, largest, is_dng=any(DNG_VERSION in one.tags for one in directories))
     elif directories and directories[0].number(_RW2_OFFSET) and _RW2_WIDTH in directories[0].tags:
         _check_panasonic(path, size, directories[0])
@@ -139,6 +144,7 @@ def read_tags(path: Path) -> FileTags:
         is_raw=is_raw,
         images=() if is_raw else images,
         black=_black(max(main, key=_pixels)) if main else None,
+        compression=max(main, key=_pixels).number(COMPRESSION, 1) if main else 1,
         **_shot(directories[0] if directories else TiffDirectory({})),
     )
 
@@ -202,6 +208,13 @@ def _check_kind(path: Path, directory: TiffDirectory) -> None:
     bits = directory.values(BITS)
     if bits.size and bits.max() > 16:
         raise DataError(f"has {bits.max():g} bits a value; at most 16 are read", file=path)
+    samples = directory.number(SAMPLES, 1)
+    if directory.number(PHOTOMETRIC) == _CFA and samples > 1:
+        raise DataError(
+            f"has {samples} values for each pixel of its mosaic (pixel shift or dual pixel): switch that off in the "
+            "camera and give a RAW file of one exposure",
+            file=path,
+        )
     repeat = tuple(int(v) for v in directory.values(_CFA_REPEAT))
     if directory.number(PHOTOMETRIC) == _CFA and repeat and repeat != (2, 2):
         rows, columns = (*repeat, 0)[:2]
@@ -209,6 +222,24 @@ def _check_kind(path: Path, directory: TiffDirectory) -> None:
         raise DataError(
             f"comes from {kind} whose colour filter repeats every {rows} x {columns} pixels; a Bayer (2 x 2) or grey "
             "sensor is needed",
+            file=path,
+        )
+
+
+def _check_single_exposure(path: Path, main: Sequence[TiffDirectory], largest: TiffDirectory) -> None:
+    """Refuse files of several exposures, of which LibRaw would pass on the first without a word."""
+    size = (largest.number(WIDTH), largest.number(HEIGHT))
+    full = [
+        one
+        for one in main
+        if one.number(PHOTOMETRIC) == _CFA
+        and not one.number(SUBFILE)
+        and (one.number(WIDTH), one.number(HEIGHT)) == size
+    ]
+    if len(full) > 1:
+        raise DataError(
+            f"holds {len(full)} exposures (pixel shift or a burst): switch that off in the camera and give a RAW file "
+            "of one exposure",
             file=path,
         )
 

@@ -24,6 +24,19 @@ PIXELS_A_BYTE = 256
 """Pixels for each byte of a file above which it holds no frame, only tags."""
 
 
+LOSSLESS_JPEG = 7
+COMPRESSIONS = {
+    8: "Deflate",
+    32767: "Sony's method",
+    32946: "Deflate",
+    34713: "Nikon's method (High Efficiency is not supported)",
+    34892: "lossy JPEG",
+    52546: "JPEG XL",
+    65535: "Pentax's method",
+}
+"""TIFF's numbers of compressions that LibRaw reads only in part."""
+
+
 def read_frame(path: Path | str, *, expect_size: tuple[int, int] | None = None) -> RawFrame:
     """Read a frame: any file LibRaw opens, or an 8 or 16-bit grey TIFF or PNG, which is taken as linear.
 
@@ -110,8 +123,7 @@ def _raw(path: Path, tags: FileTags) -> RawFrame:
         except (MemoryError, ValueError, OSError) as exc:  # sizes in a damaged header may be anything
             problem = str(exc) or type(exc).__name__
     if unpacked is None:
-        reason = " ".join(problem.split())
-        raise DataError(f"LibRaw cannot read it ({reason}); it is damaged or not a RAW file", file=path)
+        raise DataError(f"LibRaw cannot read it ({' '.join(problem.split())}); {_likely_reason(tags)}", file=path)
     if printed.reports_damage:
         raise DataError("the file is truncated or damaged: its pixels cannot all be decoded; fetch it again", file=path)
     pattern, values, black, white = unpacked
@@ -132,6 +144,16 @@ def _raw(path: Path, tags: FileTags) -> RawFrame:
         taken_at=tags.taken_at,
         serial=tags.serial,
         exposure_s=tags.exposure_s,
+    )
+
+
+def _likely_reason(tags: FileTags) -> str:
+    """What to do about a file that LibRaw refuses: a compression that it does not know is no damage."""
+    if tags.compression in (1, LOSSLESS_JPEG):
+        return "it is damaged or not a RAW file"
+    name = COMPRESSIONS.get(tags.compression, f"compression {tags.compression}")
+    return (
+        f"its pixels are compressed by {name}: set camera or converter to lossless or no compression, or it is damaged"
     )
 
 

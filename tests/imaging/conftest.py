@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,15 @@ import pytest
 import tifffile
 
 FINE = 4
+
+
+def patch_short(path: Path, tag: int, value: int) -> None:
+    """Put another value in a TIFF tag of one short."""
+    data = bytearray(path.read_bytes())
+    place = data.find(struct.pack("<HHI", tag, 3, 1))
+    assert place > 0
+    data[place + 8 : place + 10] = struct.pack("<H", value)
+    path.write_bytes(data)
 
 
 def write_dng(
@@ -28,9 +38,15 @@ def write_dng(
     delta_h: np.ndarray | None = None,
     white: int = 4095,
     serial: str = "",
+    more: tuple[tuple[Any, ...], ...] = (),
+    exposures: int = 1,
 ) -> Path:
-    """A DNG by the book: `cfa` None makes it monochrome. Levels and active area as in the specification 1.4."""
+    """A DNG by the book: `cfa` None makes it monochrome. Levels and active area as in the specification 1.4.
+
+    `more` are further tags. Values (h, w, n) are n values for each pixel of the mosaic; `exposures` writes as many.
+    """
     extra: list[tuple[Any, ...]] = [
+        *more,
         (50706, "B", 4, (1, 4, 0, 0), True),
         (50708, "s", 0, "Test", True),
         (50717, "I", 1, white, True),
@@ -49,13 +65,16 @@ def write_dng(
             extra.append((code, "2i", len(delta), pairs, True))
     if serial:
         extra.append((50735, "s", 0, serial, True))
-    photometric = 32803 if cfa is not None else 1
-    tifffile.imwrite(path, values, photometric=photometric, extratags=extra, metadata=None, software=False)
+    several = values.ndim == 3
+    layout: dict[str, Any] = {"photometric": 1, "planarconfig": "contig"} if several else {"photometric": 32803}
+    with tifffile.TiffWriter(path) as writer:
+        for _ in range(exposures):
+            kind = {"photometric": 1} if cfa is None else layout
+            writer.write(values, **kind, extratags=extra, metadata=None, software=False)
+    if several:  # tifffile itself writes mosaics of one value a pixel
+        patch_short(path, 262, 32803)
     if cfa is None:  # one-sample LinearRaw, which tifffile itself does not write
-        data = bytearray(path.read_bytes())
-        place = data.find(bytes([6, 1, 3, 0, 1, 0, 0, 0, 1, 0]))
-        data[place + 8 : place + 10] = (34892).to_bytes(2, "little")
-        path.write_bytes(data)
+        patch_short(path, 262, 34892)
     return path
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -143,6 +144,16 @@ def bad_file(kind: str, folder: Path, write_dng: Writer) -> Path:
             tifffile.imwrite(path, np.random.default_rng(1).poisson(light).astype(np.uint16), metadata=None)
         case "folder":
             path.mkdir()
+        case "JPEG XL" | "Nikon":
+            write_dng(path, counts())
+            data = path.read_bytes()
+            place = data.find(struct.pack("<HHI", 259, 3, 1))
+            number = struct.pack("<H", {"JPEG XL": 52546, "Nikon": 34713}[kind])
+            path.write_bytes(data[: place + 8] + number + data[place + 10 :])
+        case "pixel shift":
+            write_dng(path, np.dstack([counts()] * 4))
+        case "four exposures":
+            write_dng(path, counts(), exposures=4)
         case _:
             raise AssertionError(kind)
     return path
@@ -166,6 +177,10 @@ def bad_file(kind: str, folder: Path, write_dng: Writer) -> Path:
         ("floating-point DNG", "floating-point"),
         ("mosaic saved as grey", "mosaic of a colour sensor"),
         ("folder", "cannot be read"),
+        ("JPEG XL", "compressed by JPEG XL"),
+        ("Nikon", "High Efficiency"),
+        ("pixel shift", "4 values for each pixel"),
+        ("four exposures", "4 exposures"),
     ],
 )
 def test_unusable_files_are_refused_in_one_line_that_names_them(
@@ -209,3 +224,12 @@ def test_third_party_raw_file_reads_as_libraw_says(shared_data: Path) -> None:
     assert gains.min() == 1.0
     # Paper is neutral in this rendering up to its white balance: the two greens agree.
     assert gains[1] == pytest.approx(gains[3], rel=0.01)
+
+
+def test_levels_and_orientation_as_cameras_write_them(tmp_path: Path, write_dng: Writer) -> None:
+    """A linearisation table of an 8-bit file is applied, and a camera held upright does not turn the frame."""
+    table = (np.arange(256) ** 2 // 16).astype(np.uint16)
+    coded = np.searchsorted(table, counts()).clip(0, 255).astype(np.uint8)
+    tags = ((50712, "H", 256, table.tolist(), True), (274, "H", 1, 6, True))
+    path = write_dng(tmp_path / "f.dng", coded, more=tags)
+    np.testing.assert_array_equal(read_frame(path).values, table[coded])
