@@ -37,7 +37,8 @@ class ServiceSection(TomlSection):
     """Folder of the daemon's own key and of the list of clients (``labdaemon keys``); relative to the rig file."""
     local_operators: str | None = None
     """Who of this machine may command: ``all`` who reach the address (loopback's default), those with ``keys``, and of
-    Unix sockets the daemon's ``owner`` (their default) or members of ``group:NAME``."""
+    Unix sockets the daemon's ``owner`` (their default) or members of ``group:NAME``. Holds for text gateway and HTTP as
+    well: with any other policy than ``all`` they need tokens, HTTP for reading too. See `local_policy`."""
     data: Written = "data"
     """Folder of journal, campaigns and frames; relative to the rig file."""
     history_days: Annotated[float, Field(ge=0.01, le=36500, strict=True)] | None = None
@@ -60,9 +61,23 @@ class ServiceSection(TomlSection):
         return is_off_loopback or self.local_operators == "keys"
 
     @property
+    def local_policy(self) -> str:
+        """`local_operators`, or what the addresses imply: next to keys or a file no other way in is wider.
+
+        A text gateway without a token next to a socket that only its owner can open would let everyone of the machine
+        move the table.
+        """
+        if self.local_operators is not None:
+            return self.local_operators
+        addresses = (self.commands, self.events)
+        if any(map(self.needs_keys, addresses)):
+            return "keys"
+        return "owner" if any(address.startswith("ipc://") for address in addresses) else "all"
+
+    @property
     def restricts_operators(self) -> bool:
-        """Whether not everyone of this machine may command."""
-        return self.local_operators not in {None, "all"}
+        """Whether not everyone of this machine may come in."""
+        return self.local_policy != "all"
 
     @field_validator("on_fault")
     @classmethod

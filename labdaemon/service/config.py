@@ -253,10 +253,7 @@ def _check_files(rig: RigConfig) -> None:
 
 def _check_servers(rig: RigConfig) -> None:
     """Refuse servers that could not serve: a token that others read, or that is missing; a package that is."""
-    if rig.gateway is not None and rig.gateway.token_file is None and rig.service.restricts_operators:
-        policy = rig.service.local_operators
-        message = f"local_operators = {policy}, and this port is open to all of this machine; name a token_file"
-        raise ConfigError(message, source=rig.source, key="gateway")
+    _check_policy(rig)
     named = [("gateway.token_file", rig.gateway.token_file if rig.gateway else None)]
     if rig.web is not None:
         named += [("web.token_file", rig.web.token_file), ("web.observer_token_file", rig.web.observer_token_file)]
@@ -267,6 +264,19 @@ def _check_servers(rig: RigConfig) -> None:
     for key, written in named:
         if written is not None:
             AccessToken(rig.path(written), key)
+
+
+def _check_policy(rig: RigConfig) -> None:
+    """No way in is wider than the policy; and one that no one could use is a slip."""
+    if not rig.service.restricts_operators:
+        return
+    policy = f"local_operators is {rig.service.local_policy} here, and this port is open to everyone on this machine"
+    if rig.gateway is not None and rig.gateway.token_file is None:
+        message = f"is needed: {policy}, who could command; or write local_operators = all"
+        raise ConfigError(message, source=rig.source, key="gateway.token_file")
+    if rig.web is not None and rig.web.token_file is None and rig.web.observer_token_file is None:
+        message = f"is needed (or token_file): {policy}, who could read; or write local_operators = all"
+        raise ConfigError(message, source=rig.source, key="web.observer_token_file")
 
 
 def _check_lenses(rig: RigConfig) -> None:

@@ -36,11 +36,9 @@ def open_doors(config: RigConfig) -> Doors:
     Raises
     ------
     ConfigError
-        An address asks for keys, and no client is listed, or a key file is damaged or open to others; or the text
-        gateway would let in whom `local_operators` keeps out.
+        An address asks for keys, and no client is listed, or a key file is damaged or open to others.
     """
     service = config.service
-    _check_gateway(config)
     is_keyed = {address: service.needs_keys(address) for address in (service.commands, service.events)}
     access = _open_access(config) if any(is_keyed.values()) else None
 
@@ -49,18 +47,6 @@ def open_doors(config: RigConfig) -> Doors:
         return DoorPolicy(access if is_keyed[address] else None, place)
 
     return Doors(policy(service.commands), policy(service.events), access)
-
-
-def _check_gateway(config: RigConfig) -> None:
-    """No other way in is wider than the policy: without a token the text gateway makes an operator of everyone."""
-    operators, gateway = config.service.local_operators, config.gateway
-    if operators in {None, "all"} or gateway is None or gateway.token_file is not None:
-        return
-    raise ConfigError(
-        f"is needed where local_operators = {operators}: without a token everyone on this machine could command",
-        source=config.source,
-        key="gateway.token_file",
-    )
 
 
 def _open_access(config: RigConfig) -> KeyAccess:

@@ -267,7 +267,12 @@ def _describe_rig(context: DaemonContext, identities: dict[str, str], addresses:
         "version": __version__,
         "pid": os.getpid(),
         "config": str(config.source),
-        "service": {"commands": context.commands.address, **addresses, "data": str(context.data)},
+        "service": {
+            "commands": context.commands.address,
+            **addresses,
+            "data": str(context.data),
+            "local_operators": config.service.local_policy,
+        },
         "campaigns": str(context.data / "campaigns"),
         "devices": identities,
         "cameras": list(config.cameras),

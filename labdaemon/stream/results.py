@@ -34,11 +34,14 @@ class ServiceAddresses(EventPart):
         Addresses of its sockets.
     data
         Its data folder.
+    local_operators
+        Who of its machine may come in: what the rig file says, or what follows from the addresses.
     """
 
     commands: str
     events: str
     data: str | None = None
+    local_operators: str | None = None
 
 
 class RigResult(EventPart):

@@ -60,17 +60,6 @@ def test_keys_are_asked_for_where_the_address_needs_them(tmp_path: Path) -> None
     assert doors.commands.access is doors.events.access is doors.access is not None
 
 
-@pytest.mark.parametrize("operators", ["keys", "owner", "group:lab"])
-def test_the_text_gateway_is_no_way_around_the_policy(tmp_path: Path, operators: str) -> None:
-    FakeKeys(tmp_path / "keys")
-    service = {"commands": "ipc:///run/c", "events": "ipc:///run/e", "local_operators": operators}
-    with pytest.raises(ConfigError, match="everyone on this machine") as refused:
-        open_doors(Rig(tmp_path, GatewaySection(), **service))  # type: ignore[arg-type]
-    assert refused.value.key == "gateway.token_file"
-    open_doors(Rig(tmp_path, GatewaySection(token_file="token"), **service))  # type: ignore[arg-type]
-    open_doors(Rig(tmp_path, GatewaySection(), local_operators="all"))  # type: ignore[arg-type]
-
-
 def test_on_loopback_no_keys_are_made(tmp_path: Path) -> None:
     doors = open_doors(Rig(tmp_path))  # type: ignore[arg-type]
     assert doors.access is doors.commands.access is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -102,7 +103,6 @@ def capture_by_text(address: str) -> str:
         ('[gateway]\ntoken_file = "short"', "openssl"),
         ("[gateway]\ntoken = 1", "unknown key|token"),
         ('[web]\nhosts = ["a b"]', "hosts"),
-        ("[gateway]\n", "local_operators = keys"),
     ],
 )
 def test_sections_that_are_refused(config: Path, section: str, wrong: str):
@@ -110,10 +110,39 @@ def test_sections_that_are_refused(config: Path, section: str, wrong: str):
     (config.parent / "short").write_text("secret\n")
     (config.parent / "short").chmod(0o600)
     add_sections(config, f"\n{section}\n")
-    if "local_operators" in wrong:
-        config.write_text(config.read_text().replace("[service]\n", '[service]\nlocal_operators = "keys"\n'))
     with pytest.raises(ConfigError, match=wrong):
         load_rig(config)
+
+
+FILES = 'commands = "ipc:///run/c"\nevents = "ipc:///run/e"\n'
+
+
+@pytest.mark.parametrize(
+    ("service", "policy"),
+    [
+        ('local_operators = "keys"\n', "keys"),
+        (FILES, "owner"),
+        (FILES + 'local_operators = "group:lab"\n', "group:lab"),
+        ('events = "tcp://0.0.0.0:5571"\n', "keys"),
+        (FILES + 'local_operators = "all"\n', "all"),
+        ("", "all"),
+    ],
+)
+@pytest.mark.parametrize("section", ["gateway.token_file", "web.observer_token_file"])
+def test_no_other_way_in_is_wider_than_the_policy(
+    config: Path, token_file: Path, service: str, policy: str, section: str
+):
+    name, key = section.split(".")
+    text = re.sub(r"(?m)^(commands|events) *=.*\n", "", config.read_text())
+    config.write_text(text.replace("[service]\n", f"[service]\n{service}") + f"\n[{name}]\n")
+    if policy == "all":
+        assert not load_rig(config).service.restricts_operators
+        return
+    with pytest.raises(ConfigError, match=f"local_operators is {policy} here") as refused:
+        load_rig(config)
+    assert refused.value.key == section
+    add_sections(config, f'{key} = "{token_file.name}"\n')
+    assert load_rig(config).service.local_policy == policy
 
 
 def test_web_without_its_packages_is_refused_with_what_to_install(config: Path, monkeypatch: pytest.MonkeyPatch):
