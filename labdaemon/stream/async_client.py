@@ -23,7 +23,15 @@ import zmq.asyncio
 
 from labdaemon.stream import messages
 from labdaemon.stream.client import COMMANDS, EVENTS, LOST_S, SILENT_S
-from labdaemon.stream.client_errors import HeartbeatLost, HistoryCut, JournalChanged, NoDaemon, RemoteError
+from labdaemon.stream.client_errors import (
+    ClientClosed,
+    HeartbeatLost,
+    HistoryCut,
+    JournalChanged,
+    NoDaemon,
+    RemoteError,
+    refuse_closed,
+)
 from labdaemon.stream.client_sockets import client_pair, connect, subscribe
 from labdaemon.stream.event_order import EventOrder, Message
 from labdaemon.stream.event_stream import READY_S, REPLAYED_AT_A_TIME
@@ -79,7 +87,10 @@ class AsyncClient(AsyncTypedCommands):
         await self.close()
 
     async def close(self) -> None:
-        """Give all sockets back, those of event streams too."""
+        """Give all sockets back, those of event streams too; what still waits ends with `ClientClosed`."""
+        for waiting in self._waiting.values():
+            if not waiting.done():
+                waiting.set_exception(ClientClosed())
         if self._reader is not None:
             self._reader.cancel()
             with suppress(asyncio.CancelledError):
@@ -96,6 +107,8 @@ class AsyncClient(AsyncTypedCommands):
         NoDaemon
             No answer in time. Whether the command was done is then unknown, unless it carried a ``request_id`` and is
             sent again.
+        ClientClosed
+            The client was closed meanwhile.
         """
         self._calls += 1
         number = self._calls
@@ -103,7 +116,8 @@ class AsyncClient(AsyncTypedCommands):
         limit_s = self.timeout_s if timeout_s is None else timeout_s
         try:
             async with asyncio.timeout(limit_s):
-                await self._connected().send(messages.request_bytes(method, params, number))
+                with refuse_closed():
+                    await self._connected().send(messages.request_bytes(method, params, number))
                 return await answer
         except TimeoutError:
             self._drop()
@@ -201,7 +215,8 @@ class AsyncClient(AsyncTypedCommands):
 
     def subscribe(self) -> zmq.asyncio.Socket:
         """A raw subscription to everything; the caller closes it."""
-        return subscribe(self._context.socket(zmq.SUB), self.events_address, self._pair)
+        with refuse_closed():
+            return subscribe(self._context.socket(zmq.SUB), self.events_address, self._pair)
 
     def _connected(self) -> zmq.asyncio.Socket:
         if self._socket is None:
@@ -265,6 +280,8 @@ class AsyncEventStream:
             Once for each change; the next call continues with the first event that there is.
         NoDaemon
             A gap could not be filled; the next call tries again.
+        ClientClosed
+            The client was closed meanwhile.
         """
         while (event := self._order.pop()) is None:
             if self._message is None and not await self._read(timeout_s):
@@ -277,9 +294,16 @@ class AsyncEventStream:
         self._socket.close(linger=0)
 
     async def _read(self, timeout_s: float) -> bool:
-        if not await self._socket.poll(int(timeout_s * 1000) + 1):
-            return False
-        self._message = json.loads((await self._socket.recv_multipart())[1])
+        try:
+            with refuse_closed():
+                if not await self._socket.poll(int(timeout_s * 1000) + 1):
+                    return False
+                self._message = json.loads((await self._socket.recv_multipart())[1])
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if self._socket.closed and task is not None and not task.cancelling():
+                raise ClientClosed from None  # pyzmq cancels what waits on a socket that is closed
+            raise
         return True
 
     async def _take(self) -> None:

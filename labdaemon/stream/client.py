@@ -23,7 +23,15 @@ from typing import TYPE_CHECKING, Any, Self
 import zmq
 
 from labdaemon.stream import messages
-from labdaemon.stream.client_errors import HeartbeatLost, HistoryCut, JournalChanged, NoDaemon, RemoteError
+from labdaemon.stream.client_errors import (
+    ClientClosed,
+    HeartbeatLost,
+    HistoryCut,
+    JournalChanged,
+    NoDaemon,
+    RemoteError,
+    refuse_closed,
+)
 from labdaemon.stream.client_sockets import client_pair, connect, subscribe
 from labdaemon.stream.event_stream import READY_S, EventStream
 from labdaemon.stream.key_files import KeyPair
@@ -39,6 +47,7 @@ __all__ = [
     "EVENTS",
     "SILENT_S",
     "Client",
+    "ClientClosed",
     "EventStream",
     "HeartbeatLost",
     "HistoryCut",
@@ -115,11 +124,16 @@ class Client(TypedCommands):
         NoDaemon
             No answer in time. Whether the command was done is then unknown, unless it carried a ``request_id`` and is
             sent again.
+        ClientClosed
+            The client was closed meanwhile.
         """
+        with refuse_closed():
+            return self._ask(method, params, self.timeout_s if timeout_s is None else timeout_s)
+
+    def _ask(self, method: str, params: dict[str, Any], limit_s: float) -> Any:
         self._calls += 1
         socket = self._connected()
         socket.send(messages.request_bytes(method, params, self._calls))
-        limit_s = self.timeout_s if timeout_s is None else timeout_s
         deadline = time.monotonic() + limit_s
         while (left_s := deadline - time.monotonic()) > 0:
             if not socket.poll(int(left_s * 1000) + 1):
@@ -222,7 +236,8 @@ class Client(TypedCommands):
 
     def subscribe(self) -> zmq.Socket[bytes]:
         """A raw subscription to everything; the caller closes it."""
-        return subscribe(self._context.socket(zmq.SUB), self.events_address, self._pair)
+        with refuse_closed():
+            return subscribe(self._context.socket(zmq.SUB), self.events_address, self._pair)
 
     def _connected(self) -> zmq.Socket[bytes]:
         if self._socket is None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
+
+import zmq
 
 from labdaemon.errors import LabdaemonError
 from labdaemon.stream import messages
@@ -12,6 +16,34 @@ class NoDaemon(LabdaemonError):
     """No daemon answers at the address."""
 
     retryable = True
+
+
+CLOSED = (zmq.ETERM, zmq.ENOTSOCK, zmq.ENOTSUP)
+"""What libzmq and pyzmq say of a socket that another thread or task has closed."""
+
+
+class ClientClosed(LabdaemonError):
+    """The program has closed its client, and still uses it, most likely in another thread."""
+
+    def __init__(self) -> None:
+        super().__init__("this client is closed; end what uses it first, or make a new client")
+
+
+@contextmanager
+def refuse_closed() -> Iterator[None]:
+    """Raise `ClientClosed` where a socket turns out to be closed.
+
+    Raises
+    ------
+    ClientClosed
+        It is.
+    """
+    try:
+        yield
+    except zmq.ZMQError as exc:
+        if exc.errno not in CLOSED:
+            raise
+        raise ClientClosed from exc
 
 
 class HeartbeatLost(NoDaemon):

@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self
 
 import zmq
 
-from labdaemon.stream.client_errors import NoDaemon
+from labdaemon.stream.client_errors import NoDaemon, refuse_closed
 from labdaemon.stream.event_order import EventOrder, Message
 
 REPLAYED_AT_A_TIME = 1000
@@ -87,6 +87,8 @@ class EventStream:
             Once for each change; the next call continues with the first event that there is.
         NoDaemon
             A gap could not be filled; the next call tries again.
+        ClientClosed
+            The client was closed meanwhile.
         """
         deadline = time.monotonic() + timeout_s
         while (event := self._order.pop()) is None:
@@ -101,9 +103,10 @@ class EventStream:
 
     def _read(self, timeout_s: float) -> bool:
         """Keep the next message from the socket until it can be taken."""
-        if timeout_s <= 0 or not self._socket.poll(int(timeout_s * 1000) + 1):
-            return False
-        self._message = json.loads(self._socket.recv_multipart()[1])
+        with refuse_closed():
+            if timeout_s <= 0 or not self._socket.poll(int(timeout_s * 1000) + 1):
+                return False
+            self._message = json.loads(self._socket.recv_multipart()[1])
         return True
 
     def _take(self) -> None:

@@ -11,12 +11,21 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
+import zmq
 
 from labdaemon.errors import LabdaemonError
 from labdaemon.events import StatusReport, parse_event
 from labdaemon.service import openrpc
 from labdaemon.stream.async_client import AsyncClient
-from labdaemon.stream.client import Client, HeartbeatLost, HistoryCut, JournalChanged, NoDaemon, RemoteError
+from labdaemon.stream.client import (
+    Client,
+    ClientClosed,
+    HeartbeatLost,
+    HistoryCut,
+    JournalChanged,
+    NoDaemon,
+    RemoteError,
+)
 from labdaemon.stream.typed_commands import AsyncTypedCommands, CaptureParameters, TypedCommands
 from labdaemon.testing.stream_daemon import FakeKeys, MemoryOutbox, StreamDaemon
 
@@ -254,3 +263,53 @@ def test_a_client_that_vanishes_in_mid_request_costs_nothing(daemon: StreamDaemo
         with Client(daemon.commands, daemon.events) as gone, suppress(NoDaemon):
             gone.call("events.replay", after=0, timeout_s=0.001)
     assert lab.status().state == "idle"
+
+
+def test_a_client_that_is_closed_while_it_is_used_says_so(daemon: StreamDaemon) -> None:
+    lab = Client(daemon.commands, daemon.events, timeout_s=20)
+    stream = lab.listen(timeout_s=20)
+    assert stream.receive(20) is not None
+    lab.close()
+    for use in (
+        lambda: stream.receive(20),
+        lab.status,
+        lab.listen,
+        lambda: next(lab.events()),
+        lambda: next(lab.follow()),
+    ):
+        with pytest.raises(ClientClosed, match="make a new client"):
+            use()
+
+
+@pytest.mark.parametrize("error", [zmq.ZMQError(zmq.ENOTSOCK), zmq.ContextTerminated()])
+def test_a_client_that_another_thread_closes_in_mid_call_says_so(
+    daemon: StreamDaemon, lab: Client, monkeypatch: pytest.MonkeyPatch, error: zmq.ZMQError
+) -> None:
+    def poll(*_: object) -> int:
+        raise error
+
+    with lab.listen(timeout_s=20) as stream, monkeypatch.context() as patched:
+        assert stream.receive(20) is not None
+        patched.setattr(zmq.Socket, "poll", poll)
+        for use in (lambda: stream.receive(20), lab.status):
+            with pytest.raises(ClientClosed):
+                use()
+
+
+async def test_closing_the_async_client_ends_what_waits_in_other_tasks(daemon: StreamDaemon) -> None:
+    lab = AsyncClient("tcp://127.0.0.1:9", daemon.events, timeout_s=120)  # commands are never answered
+    heard = asyncio.Event()
+
+    async def follow() -> None:
+        async for _ in lab.follow():
+            heard.set()
+
+    tasks = [asyncio.create_task(follow()), asyncio.create_task(lab.status())]
+    async with asyncio.timeout(60):
+        await heard.wait()
+        await lab.close()
+        for task in tasks:
+            with pytest.raises(ClientClosed):
+                await task
+    with pytest.raises(ClientClosed):
+        await lab.status()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import sys
 import threading
 import time
@@ -32,6 +33,8 @@ def _obey(loop: asyncio.AbstractEventLoop) -> None:
 def main(arguments: list[str]) -> int:
     """Run it."""
     config, data = arguments
+    for number in (signal.SIGHUP, signal.SIGQUIT):  # ignored where the bench itself runs under nohup
+        signal.signal(number, signal.SIG_DFL)
 
     def ready(commands: str, events: str) -> None:
         threading.Thread(target=_obey, args=(asyncio.get_running_loop(),), daemon=True).start()
