@@ -124,7 +124,7 @@ class FaultHook:
         last = self._journal.last_seq
         try:
             self._unsent.extend(await off_loop(self._events, self._seq))
-        except LabdaemonError as exc:
+        except (LabdaemonError, RuntimeError) as exc:  # RuntimeError: no thread is left at this moment
             log.warning("on_fault: events cannot be read: %s", exc)
             return
         self._seq = last

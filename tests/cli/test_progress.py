@@ -124,3 +124,21 @@ def test_a_doubtful_target_does_not_lead() -> None:
     assert status_lines(status)[1:] == [
         "manual     2 captures outside the plan", "largest    0.411 mm at T1; 1 doubtful",
     ]  # fmt: skip
+
+
+def test_what_a_starting_daemon_waits_for_is_named_once() -> None:
+    status = {
+        "state": "starting",
+        "waiting_for": {"left": "left: no camera with serial number 7 on USB", "data folder": "/data: is not there"},
+    }
+    lines = status_lines(status)
+    assert "waits for  left: no camera with serial number 7 on USB" in lines
+    assert "waits for  data folder: /data: is not there" in lines
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [("rest", "table      rest"), ("unconfirmed", "table      unconfirmed; USE THE EMERGENCY STOP IF IT MOVES")],
+)
+def test_a_table_that_no_device_confirms_names_the_emergency_stop(table: str, expected: str) -> None:
+    assert expected in status_lines({"state": "idle", "table": table})

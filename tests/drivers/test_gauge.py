@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 
 import numpy as np
@@ -240,6 +241,58 @@ def test_a_record_of_a_silent_gauge_is_an_error_at_once(streaming, fault):
 )
 def test_only_what_piles_up_at_an_end_is_clipped(values, ends):
     assert len(clipped_ends(values)) == ends
+
+
+@pytest.mark.parametrize("call", ["read", "record", "find_sine"])
+def test_a_gauge_that_another_thread_closes_meanwhile_is_not_connected(streaming, call):
+    """Each asks for more than there is, so it waits when the other thread comes."""
+    _, gauge = streaming
+    gauge.connect()
+    calls = {
+        "read": lambda: gauge.read(8.0, duration_s=50.0),
+        "record": lambda: gauge.record(start_s=time.monotonic(), duration_s=50.0),
+        "find_sine": lambda: gauge.find_sine(duration_s=50.0),
+    }
+    met = []
+
+    def wait():
+        try:
+            calls[call]()
+        except Exception as exc:
+            met.append(exc)
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    gauge.close()
+    waiting.join(60)
+    assert not waiting.is_alive()
+    assert isinstance(met[0], TransportError), met
+    assert "not connected" in str(met[0])
+
+
+def test_a_gauge_may_be_connected_anew_while_another_thread_reads(streaming):
+    """Its record of before is thrown away under the reader's eyes: an error of the device at most, never another."""
+    _, gauge = streaming
+    gauge.connect()
+    met, is_over = [], threading.Event()
+
+    def read_on():
+        while not is_over.is_set():
+            try:
+                gauge.read(8.0, duration_s=0.2)
+            except (TransportError, ProtocolError, DeviceRefused):
+                continue
+            except Exception as exc:
+                met.append(exc)
+
+    reading = threading.Thread(target=read_on)
+    reading.start()
+    for _ in range(5):
+        gauge.connect()
+    is_over.set()
+    reading.join(60)
+    assert not reading.is_alive()
+    assert met == []
 
 
 def test_a_dead_gauge_does_not_connect(streaming):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+import threading
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -92,6 +93,28 @@ def test_events_that_come_together_are_one_message_and_none_is_left_out(tmp_path
     assert first["daemon"] == PLACE
     assert 1 <= len(later) <= took_s[0] / GAP_S + 1  # 21 events, with a distance between two runs
     assert "the disk is full" in [event["data"]["message"] for run in later for event in run["events"]]
+
+
+def test_a_system_without_threads_delays_the_message_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+
+    async def scenario(hook: FaultHook, journal: Journal) -> None:
+        def refuse(thread: threading.Thread) -> None:
+            refused.append(thread.name)
+            raise RuntimeError("can't start new thread")
+
+        refused: list[str] = []
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", refuse)
+            transitions.fault(journal, None, FaultData(message="first"))
+            hook.wake()
+            await until(lambda: bool(refused))
+        transitions.fault(journal, None, FaultData(message="second"))
+        hook.wake()
+        await until(lambda: sum(len(run["events"]) for run in runs(kept)) == 2)
+
+    serve(tmp_path, [sys.executable, "-c", KEEP, str(kept)], scenario)
 
 
 @pytest.mark.parametrize(
