@@ -62,15 +62,26 @@ def connect(socket: AnySocket, address: str, pair: KeyPair | None) -> AnySocket:
     socket.set(zmq.RECONNECT_IVL_MAX, RECONNECT_MOST_MS)
     socket.set(zmq.CONNECT_TIMEOUT, CONNECT_MS)
     if pair is not None:
-        if pair.daemon is None:
-            raise ValueError("this is no client's key pair: it does not say what daemon to trust")
-        socket.set(zmq.CURVE_PUBLICKEY, pair.public.encode())
-        socket.set(zmq.CURVE_SECRETKEY, pair.secret.encode())
-        socket.set(zmq.CURVE_SERVERKEY, pair.daemon.encode())
+        secure(socket, pair)
         socket.set(zmq.HEARTBEAT_IVL, SIGN_MS)
         socket.set(zmq.HEARTBEAT_TIMEOUT, GONE_MS)
     socket.connect(address)
     return socket
+
+
+def secure(socket: AnySocket, pair: KeyPair) -> None:
+    """Have what a socket sends and receives encrypted, with a client's key.
+
+    Raises
+    ------
+    ValueError
+        The pair does not say which daemon it is for.
+    """
+    if pair.daemon is None:
+        raise ValueError("this is no client's key pair: it does not say what daemon to trust")
+    socket.set(zmq.CURVE_PUBLICKEY, pair.public.encode())
+    socket.set(zmq.CURVE_SECRETKEY, pair.secret.encode())
+    socket.set(zmq.CURVE_SERVERKEY, pair.daemon.encode())
 
 
 def subscribe(socket: AnySocket, address: str, pair: KeyPair | None) -> AnySocket:

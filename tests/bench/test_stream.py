@@ -28,9 +28,9 @@ def test_the_envelopes_are_envelopes() -> None:
     assert len(first.data.targets) == TARGETS
 
 
-@pytest.mark.parametrize("which", ["bare", "ours"])
-def test_all_events_come_however_many_subscribers_stall(which: str) -> None:
-    found = publish(which, 5, 2, stalled=1, rounds=2)
+@pytest.mark.parametrize(("which", "has_keys"), [("bare", False), ("ours", False), ("bare", True), ("ours", True)])
+def test_all_events_come_however_many_subscribers_stall(which: str, has_keys: bool) -> None:
+    found = publish(which, 5, 2, stalled=1, rounds=2, has_keys=has_keys)
     assert found.events == 10
     assert found.bytes_each > 100_000
     assert found.took_s > 0.0

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import zmq
 
 from labdaemon.bench.stream.publisher_child import GO
 from labdaemon.errors import LabdaemonError
+from labdaemon.stream.client_sockets import secure
+from labdaemon.stream.key_files import KeyPair
+from labdaemon.testing.stream_daemon import FakeKeys
 
 CHILD = [sys.executable, "-m", "labdaemon.bench.stream.publisher_child"]
 DEADLINE_S = 120.0
@@ -42,7 +48,13 @@ class Publication:
 
 
 def publish(
-    which: Literal["ours", "bare"], events: int, subscribers: int, *, stalled: int = 0, rounds: int = 1
+    which: Literal["ours", "bare"],
+    events: int,
+    subscribers: int,
+    *,
+    stalled: int = 0,
+    rounds: int = 1,
+    has_keys: bool = False,
 ) -> Publication:
     """Publish so many events.
 
@@ -52,22 +64,28 @@ def publish(
         Subscribers that never read, in addition.
     rounds
         How often that many are published, each time after all have come.
+    has_keys
+        Whether all of it is encrypted, with keys that ours checks.
 
     Raises
     ------
     LabdaemonError
         A subscriber did not get all in time.
     """
-    child = subprocess.Popen([*CHILD, which, str(events)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    folder = Path(tempfile.mkdtemp(prefix="labdaemon-keys-"))
+    keys = FakeKeys(folder) if has_keys else None
+    pair = keys.observer if keys is not None else None
+    arguments = [which, str(events), *([] if keys is None else [str(folder)])]
+    child = subprocess.Popen([*CHILD, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert child.stdin is not None
     assert child.stdout is not None
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     try:
         address = child.stdout.readline().strip()
-        idle = [_subscriber(context, address, high_water=1) for _ in range(stalled)]
+        idle = [_subscriber(context, address, pair, high_water=1) for _ in range(stalled)]
         poller, left = zmq.Poller(), dict[zmq.Socket[bytes], int]()
         for _ in range(subscribers):
-            socket = _subscriber(context, address, high_water=0)
+            socket = _subscriber(context, address, pair, high_water=0)
             poller.register(socket, zmq.POLLIN)
             left[socket] = events
         _wait_for_greetings([*left, *idle])
@@ -95,6 +113,7 @@ def publish(
             child.kill()
             child.wait()
         child.stdout.close()
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _receive(poller: zmq.Poller, left: dict[zmq.Socket[bytes], int]) -> int:
@@ -114,8 +133,12 @@ def _receive(poller: zmq.Poller, left: dict[zmq.Socket[bytes], int]) -> int:
     return size
 
 
-def _subscriber(context: zmq.Context[zmq.Socket[bytes]], address: str, *, high_water: int) -> zmq.Socket[bytes]:
+def _subscriber(
+    context: zmq.Context[zmq.Socket[bytes]], address: str, pair: KeyPair | None, *, high_water: int
+) -> zmq.Socket[bytes]:
     socket = context.socket(zmq.SUB)
+    if pair is not None:
+        secure(socket, pair)
     socket.set(zmq.RCVHWM, high_water)
     if high_water:
         socket.set(zmq.RCVBUF, 64 << 10)

@@ -1,8 +1,8 @@
 """A publisher in a process of its own: the daemon's, or a bare PUB socket that sends the same bytes.
 
-``python -m labdaemon.bench.stream.publisher_child ours|bare EVENTS`` prints its address, sends a greeting until a line
-comes on standard input. At each line it prints what it has used, CPU seconds and megabytes, and at each line "go" it
-then sends EVENTS envelopes as fast as it can.
+``python -m labdaemon.bench.stream.publisher_child ours|bare EVENTS [KEYS]`` prints its address, sends a greeting until a
+line comes on standard input. At each line it prints what it has used, CPU seconds and megabytes, and at each line "go"
+it then sends EVENTS envelopes as fast as it can. With a folder of KEYS everything is encrypted.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ import zmq
 from labdaemon.clock import SystemClock
 from labdaemon.journal.event import EventText
 from labdaemon.processing import ENVELOPE_COLUMNS
+from labdaemon.stream.access import KeyAccess, own_pair
 from labdaemon.stream.publisher import EventPublisher
-from labdaemon.stream.sockets import EVENTS_HIGH_WATER
+from labdaemon.stream.sockets import ANYBODY, EVENTS_HIGH_WATER, DoorPolicy
 
 TARGETS = 360
 GREETING_MS = 20
@@ -65,11 +66,16 @@ def used() -> str:
     return json.dumps({"cpu_s": time.process_time(), "memory_mb": int(found[1]) / 1024.0 if found else 0.0})
 
 
-def send_bare(count: int) -> None:
-    """A PUB socket with the same high-water mark, and nothing else."""
+def send_bare(count: int, keys: Path | None) -> None:
+    """A PUB socket with the same high-water mark, encrypted where a folder of keys is given, and nothing else."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         socket.set(zmq.SNDHWM, EVENTS_HIGH_WATER)
         socket.set(zmq.LINGER, 0)
+        if keys is not None:
+            pair = own_pair(keys)
+            socket.set(zmq.CURVE_SERVER, 1)
+            socket.set(zmq.CURVE_PUBLICKEY, pair.public.encode())
+            socket.set(zmq.CURVE_SECRETKEY, pair.secret.encode())
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         prepared = list(envelopes(count))
         print(f"tcp://127.0.0.1:{port}", flush=True)
@@ -83,10 +89,11 @@ def send_bare(count: int) -> None:
                 socket.send_multipart([event.kind.encode(), event.json])
 
 
-async def send_ours(count: int) -> None:
+async def send_ours(count: int, keys: Path | None) -> None:
     """The daemon's publisher."""
     outbox = BenchOutbox()
-    publisher = EventPublisher("tcp://127.0.0.1:*", outbox, lambda: {"campaign": None}, SystemClock())
+    policy = DoorPolicy(KeyAccess(keys)) if keys is not None else ANYBODY
+    publisher = EventPublisher("tcp://127.0.0.1:*", outbox, lambda: {"campaign": None}, SystemClock(), policy)
     publisher.bind()
     running = asyncio.create_task(publisher.run())
     prepared = list(envelopes(count))
@@ -105,7 +112,8 @@ async def send_ours(count: int) -> None:
 
 if __name__ == "__main__":
     which, number = sys.argv[1], int(sys.argv[2])
+    folder = Path(sys.argv[3]) if len(sys.argv) > 3 else None
     if which == "bare":
-        send_bare(number)
+        send_bare(number, folder)
     else:
-        asyncio.run(send_ours(number))
+        asyncio.run(send_ours(number, folder))
