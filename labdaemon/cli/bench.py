@@ -23,6 +23,7 @@ ELSEWHERE = {
         "textures",
         "harmonics",
         "planned",
+        "page",
         "real",
         "windows",
         "groups",

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from labdaemon.orbit_size import is_doubtful
 from labdaemon.report.accuracy import TargetComparison, row_axes
 
+FloatArray = NDArray[np.float64]
+
 READABLE_SHARE = 0.1
 """Share of the structure's size that the largest motion fills when it is drawn."""
 _STOPS = ((59, 111, 182), (108, 92, 201), (170, 71, 188), (222, 66, 118), (233, 84, 52))
@@ -91,7 +93,7 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     parts: list[str] = []
     left = margin + 14
     for axis, up in views:
-        view = _FigureView(axis, up, left, margin, scale, low, high)
+        view = FigureView(axis, up, left, margin, scale, low, high)
         parts += view.frame()
         for (row, _), centre, pair, length in zip(moving, centres, axes, lengths, strict=True):
             parts.append(view.target(row, centre, pair, length, largest))
@@ -105,8 +107,25 @@ def envelope_svg(rows: Sequence[Mapping[str, Any]], *, height: float = 520.0) ->
     )
 
 
-class _FigureView:
-    """One orthogonal view: one axis of object space to the right, another up."""
+class FigureView:
+    """One orthogonal view: one axis of object space to the right, another up.
+
+    Parameters
+    ----------
+    axis, up
+        Index of the axis to the right, and of the one up.
+    left, top
+        Corner of the view in the drawing.
+    scale
+        Drawing units a millimetre.
+    low, high
+        (3,) ends of what is shown, mm.
+
+    Attributes
+    ----------
+    right, bottom
+        The other corner.
+    """
 
     def __init__(
         self,
@@ -120,8 +139,8 @@ class _FigureView:
     ) -> None:
         self.axis, self.up, self.left, self.top, self.scale = axis, up, left, top, scale
         self.low, self.high = (float(low[axis]), float(low[up])), (float(high[axis]), float(high[up]))
-        self.right = left + (self.high[0] - self.low[0]) * scale
-        self.bottom = top + (self.high[1] - self.low[1]) * scale
+        self.right: float = left + (self.high[0] - self.low[0]) * scale
+        self.bottom: float = top + (self.high[1] - self.low[1]) * scale
 
     def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) millimetres to (n, 2) of the drawing."""
@@ -176,18 +195,33 @@ class _FigureView:
             Amplitude, and the amplitude at the end of the colour scale, mm.
         """
         (x, y), *_ = self.place(centre[None, :])
-        shadow = self.scale * axes[:, [self.axis, self.up]].T * np.array([[1.0], [-1.0]])
-        turn, size, _ = np.linalg.svd(shadow)
-        angle = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
         flags = row.get("flags") or []
         title = escape(f"{row['target']}: {length:.3f} mm" + (f" ({', '.join(flags)})" if flags else ""))
         tint = colour(length / largest if largest else 0.0)
         dash = ' stroke-dasharray="3 3"' if flags else ""
+        ellipse = self.orbit(centre, axes, f'fill="{tint}" stroke="{tint}"{dash}', title)
+        return f'{ellipse}<path d="M{x:.1f} {y:.1f}h0"/>'
+
+    def orbit(self, centre: FloatArray, axes: FloatArray, look: str, title: str = "") -> str:
+        """An orbit as an ``<ellipse>``.
+
+        Parameters
+        ----------
+        centre, axes
+            As for `target`.
+        look
+            Its attributes.
+        title
+            Escaped text to read on hovering.
+        """
+        (x, y), *_ = self.place(centre[None, :])
+        shadow = self.scale * axes[:, [self.axis, self.up]].T * np.array([[1.0], [-1.0]])
+        turn, size, _ = np.linalg.svd(shadow)
+        angle = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
         return (
             f'<ellipse rx="{max(size[0], _THIN_PX):.1f}" ry="{max(size[1], _THIN_PX):.1f}" '
-            f'transform="translate({x:.1f} {y:.1f})rotate({angle:.1f})" fill="{tint}" stroke="{tint}"{dash}>'
-            f"<title>{title}</title></ellipse>"
-            f'<path d="M{x:.1f} {y:.1f}h0"/>'
+            f'transform="translate({x:.1f} {y:.1f})rotate({angle:.1f})" {look}>'
+            f"{f'<title>{title}</title>' if title else ''}</ellipse>"
         )
 
 

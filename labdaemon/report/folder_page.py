@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 
 from labdaemon.errors import ConfigError, DataError
-from labdaemon.processing import NOT_FRAMES, CaptureFacts, Row, capture_facts, open_folder, read_csv
+from labdaemon.processing import NOT_FRAMES, RESULTS, CaptureFacts, Row, capture_facts, open_folder, read_csv
 from labdaemon.report.accuracy import CaptureAccuracy, compare
 from labdaemon.report.flagged_patches import flagged_patches
 from labdaemon.report.gauge_comparison import read_gauges
@@ -18,6 +18,7 @@ from labdaemon.report.html import CaptureSection, PageImage, PageSupplement, wri
 from labdaemon.report.overlay import overlay_path
 from labdaemon.report.provenance import provenance
 from labdaemon.report.resonance_section import resonance_section
+from labdaemon.report.state_comparison import State, state_section
 from labdaemon.tomlfile import read_toml
 
 IMAGE_WIDTH_PX = 760
@@ -47,7 +48,13 @@ def envelopes(results: Path) -> dict[str, list[Row]]:
 
 
 def report_folder(
-    folder: Path, *, title: str, subtitle: str = "", truth: Truth | None = None, results: Path | None = None
+    folder: Path,
+    *,
+    title: str,
+    subtitle: str = "",
+    truth: Truth | None = None,
+    results: Path | None = None,
+    baseline: Path | None = None,
 ) -> tuple[Path, list[CaptureAccuracy]]:
     """Write the page of a data-set folder.
 
@@ -61,6 +68,8 @@ def report_folder(
         What really happened, by capture or group; None where it is unknown.
     results
         Where the result files are; FOLDER/results by default.
+    baseline
+        Data-set folder of an earlier state, to compare with.
 
     Returns
     -------
@@ -72,7 +81,7 @@ def report_folder(
     Raises
     ------
     DataError
-        There are no results, or the page cannot be written.
+        There are no results, nothing can be compared with the baseline, or the page cannot be written.
     """
     results = results or folder / "results"
     facts, known = _facts(folder), capture_facts(folder)
@@ -99,9 +108,13 @@ def report_folder(
     heading = "; ".join(part for part in (subtitle, _line_note(folder)) if part)
     pixels = results / "measurements.csv"
     flagged = flagged_patches(folder, read_csv(pixels) if pixels.is_file() else [], measured, known)
+    change = None
+    if baseline is not None:
+        before = State(envelopes(baseline / RESULTS), capture_facts(baseline))
+        change = state_section(folder, baseline, (before, State(measured, known)))
     is_excited = any(capture.frequency_hz is not None for capture in shown)
     resonances = resonance_section(folder, results) if is_excited else None
-    write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder), resonances, flagged))
+    write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder), resonances, flagged, change))
     return page, [one.accuracy for one in shown if one.accuracy is not None]
 
 

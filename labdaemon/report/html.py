@@ -25,6 +25,7 @@ from labdaemon.report.page_tables import PageGrid, amplitude_chart, flagged_tabl
 from labdaemon.report.provenance import Provenance
 from labdaemon.report.resonance_section import ResonanceSection
 from labdaemon.report.space_view import SpaceCapture, space_json
+from labdaemon.report.state_comparison import StateSection
 from labdaemon.report.uncertainty_budget import budget
 
 MAX_DRAWN = 24
@@ -96,12 +97,15 @@ class PageSupplement:
         Transmissibility, modes and the curves of their model; None where no frequency is known.
     flagged
         Drawings of flagged targets.
+    change
+        What changed since a baseline; None without one.
     """
 
     gauges: Sequence[GaugeComparison] = ()
     provenance: Provenance | None = None
     resonances: ResonanceSection | None = None
     flagged: FlaggedPatches = field(default_factory=FlaggedPatches)
+    change: StateSection | None = None
 
 
 def write_page(
@@ -156,6 +160,7 @@ def page(
             budget=budget(rows),
             flagged=flagged_table(captures),
             patches=more.flagged,
+            change=more.change,
             provenance=more.provenance,
         )
     )

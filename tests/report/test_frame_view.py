@@ -1,4 +1,4 @@
-"""A frame for the live page: small, with vectors where it is measured, written by the command on standard output."""
+"""A frame for the live page: small, with vectors where it is measured, and written on standard output."""
 
 from __future__ import annotations
 
