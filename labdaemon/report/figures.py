@@ -137,39 +137,39 @@ class FigureView:
         low: NDArray[np.float64],
         high: NDArray[np.float64],
     ) -> None:
-        self.axis, self.up, self.left, self.top, self.scale = axis, up, left, top, scale
-        self.low, self.high = (float(low[axis]), float(low[up])), (float(high[axis]), float(high[up]))
-        self.right: float = left + (self.high[0] - self.low[0]) * scale
-        self.bottom: float = top + (self.high[1] - self.low[1]) * scale
+        self._axis, self._up, self._left, self._top, self._scale = axis, up, left, top, scale
+        self._low, self._high = (float(low[axis]), float(low[up])), (float(high[axis]), float(high[up]))
+        self.right: float = left + (self._high[0] - self._low[0]) * scale
+        self.bottom: float = top + (self._high[1] - self._low[1]) * scale
 
     def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 3) millimetres to (n, 2) of the drawing."""
-        across = self.left + (points[:, self.axis] - self.low[0]) * self.scale
-        down = self.bottom - (points[:, self.up] - self.low[1]) * self.scale
+        across = self._left + (points[:, self._axis] - self._low[0]) * self._scale
+        down = self.bottom - (points[:, self._up] - self._low[1]) * self._scale
         return np.stack([across, down], axis=1)
 
     def frame(self) -> list[str]:
         """Grid, ticks and axis names."""
         parts = [
-            f'<rect x="{self.left - 8:.1f}" y="{self.top - 8:.1f}" width="{self.right - self.left + 16:.1f}" '
-            f'height="{self.bottom - self.top + 16:.1f}" fill="none" stroke="var(--grid)"/>'
+            f'<rect x="{self._left - 8:.1f}" y="{self._top - 8:.1f}" width="{self.right - self._left + 16:.1f}" '
+            f'height="{self.bottom - self._top + 16:.1f}" fill="none" stroke="var(--grid)"/>'
         ]
-        for value in axis_ticks(self.low[0], self.high[0], (self.right - self.left) / 80):
-            x = self.left + (value - self.low[0]) * self.scale
+        for value in axis_ticks(self._low[0], self._high[0], (self.right - self._left) / 80):
+            x = self._left + (value - self._low[0]) * self._scale
             parts.append(
-                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{self.top - 8:.1f}" y2="{self.bottom + 8:.1f}" '
+                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{self._top - 8:.1f}" y2="{self.bottom + 8:.1f}" '
                 f'stroke="var(--grid)"/>'
             )
             parts.append(svg_text(x, self.bottom + 22, f"{value:g}", "middle"))
-        for value in axis_ticks(self.low[1], self.high[1], (self.bottom - self.top) / 60):
-            y = self.bottom - (value - self.low[1]) * self.scale
+        for value in axis_ticks(self._low[1], self._high[1], (self.bottom - self._top) / 60):
+            y = self.bottom - (value - self._low[1]) * self._scale
             parts.append(
-                f'<line x1="{self.left - 8:.1f}" x2="{self.right + 8:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
+                f'<line x1="{self._left - 8:.1f}" x2="{self.right + 8:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
                 f'stroke="var(--grid)"/>'
             )
-            parts.append(svg_text(self.left - 13, y + 3.5, f"{value:g}", "end"))
-        parts.append(svg_text((self.left + self.right) / 2, self.bottom + 38, f"{'xyz'[self.axis]} mm", "middle"))
-        parts.append(svg_text(self.left - 8, self.top - 16, f"{'xyz'[self.up]} mm", "start"))
+            parts.append(svg_text(self._left - 13, y + 3.5, f"{value:g}", "end"))
+        parts.append(svg_text((self._left + self.right) / 2, self.bottom + 38, f"{'xyz'[self._axis]} mm", "middle"))
+        parts.append(svg_text(self._left - 8, self._top - 16, f"{'xyz'[self._up]} mm", "start"))
         return parts
 
     def target(
@@ -215,7 +215,7 @@ class FigureView:
             Escaped text to read on hovering.
         """
         (x, y), *_ = self.place(centre[None, :])
-        shadow = self.scale * axes[:, [self.axis, self.up]].T * np.array([[1.0], [-1.0]])
+        shadow = self._scale * axes[:, [self._axis, self._up]].T * np.array([[1.0], [-1.0]])
         turn, size, _ = np.linalg.svd(shadow)
         angle = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
         return (
