@@ -114,23 +114,28 @@ class CampaignModes:
         }
 
 
-def campaign_modes(folder: Path, results: Path | None = None, *, most_readings: int | None = None) -> CampaignModes:
+def campaign_modes(folder: Path) -> CampaignModes:
     """Find the modes in a data-set folder's results.
-
-    Parameters
-    ----------
-    folder, results
-        As in `read_campaign`.
-    most_readings
-        Steps times targets up to which all targets are fitted: the time of the search grows with them. Beyond, a note
-        says how many are fitted: those that differ most from each other. None: all.
 
     Raises
     ------
     DataError, ConfigError
         The folder has no usable envelopes; the message names it.
     """
-    campaign = read_campaign(folder, results)
+    return modes_of(read_campaign(folder))
+
+
+def modes_of(campaign: CampaignResponse, *, most_readings: int | None = None) -> CampaignModes:
+    """Find the modes in a campaign's envelopes.
+
+    Parameters
+    ----------
+    campaign
+        From `read_campaign`.
+    most_readings
+        Steps times targets up to which all targets are fitted: the time of the search grows with them. Beyond, a note
+        says how many are fitted: those that differ most from each other. None: all.
+    """
     ratio = transmissibility_of(campaign.series)
     fitted = campaign if most_readings is None else _most_different(campaign, most_readings)
     found = find_modes(fitted.series)

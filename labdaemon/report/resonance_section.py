@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labdaemon.analysis.campaign_modes import CampaignModes, campaign_modes
+from labdaemon.analysis.campaign_modes import CampaignModes, modes_of
 from labdaemon.analysis.campaign_response import read_campaign
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.findings import Transmissibility, transmissibility_of
@@ -55,7 +55,7 @@ def resonance_section(folder: Path, results: Path) -> ResonanceSection:
         ratios = _transmissibility(transmissibility_of(campaign.series))
         if len(set(campaign.series.frequency_hz.tolist())) < LEAST_FREQUENCIES:
             return ResonanceSection(transmissibility=ratios)
-        found = campaign_modes(folder, results, most_readings=MOST_READINGS)
+        found = modes_of(campaign, most_readings=MOST_READINGS)
     except (DataError, ConfigError) as exc:
         return ResonanceSection(notes=(str(exc),))
     grid = _grid(found) if found.modes else None
