@@ -47,6 +47,9 @@ COMMANDS = {
 }
 """Subcommand -> its function, and its line in `--help`. Imported only when called, so that `stop` starts at once."""
 
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that libraries of linear algebra read when numpy is imported. The matrices here are small: a second thread
+takes ten times the processor's time where others need it, as while a daemon measures."""
 STDERR_MS = 1000
 """How long the last line waits for a reader of stderr."""
 
@@ -104,6 +107,8 @@ def main() -> None:
 
     Exit status: 0 done, 2 wrong usage or unusable input (one line on stderr), 1 it failed, 130 on Ctrl-C.
     """
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
     try:
         status = cli.main(standalone_mode=False)
     except click.Abort:

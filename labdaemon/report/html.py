@@ -20,6 +20,7 @@ from labdaemon.orbit_size import largest_motion
 from labdaemon.report.accuracy import FLOOR_MM, CaptureAccuracy, row_axes, semi_amplitude_sd_mm, summary
 from labdaemon.report.figures import envelope_svg, errors_svg
 from labdaemon.report.flagged_patches import FlaggedPatches
+from labdaemon.report.gauge_chart import gauge_svg
 from labdaemon.report.gauge_comparison import GaugeComparison
 from labdaemon.report.page_tables import PageGrid, amplitude_chart, flagged_table, gauge_tables, number_text
 from labdaemon.report.provenance import Provenance
@@ -157,6 +158,7 @@ def page(
             chart=amplitude_chart(captures, more.resonances.curves if more.resonances else None),
             resonances=more.resonances,
             gauges=gauge_tables(more.gauges),
+            gauge_chart=gauge_svg(more.gauges),
             budget=budget(rows),
             flagged=flagged_table(captures),
             patches=more.flagged,

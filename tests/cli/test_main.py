@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from labdaemon.cli.main import COMMANDS, cli
+from labdaemon.cli.main import COMMANDS, ONE_THREAD, cli, main
 
 
 def helps(command: click.Command, path: tuple[str, ...]) -> list[tuple[str, ...]]:
@@ -71,3 +72,18 @@ def test_wrong_usage_exits_2_without_a_traceback(arguments: list[str]) -> None:
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert done.stderr.strip()
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch, given: str | None, used: str
+) -> None:
+    for name in ONE_THREAD:
+        monkeypatch.setenv(name, "0")  # so that what was there comes back afterwards
+        monkeypatch.delenv(name)
+    if given is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    monkeypatch.setattr(sys, "argv", ["labdaemon", "--version"])
+    with pytest.raises(SystemExit):
+        main()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == used
