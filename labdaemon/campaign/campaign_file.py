@@ -212,6 +212,37 @@ class SweepPhase(ShakingPhase):
         return self.amplitude_mm or 0.0
 
 
+class ResonancePhase(ShakingPhase):
+    """A closed-loop sweep: finds the modes of a band and measures where that tells most, until they are known.
+
+    A first sweep over the band comes first; each further frequency is decided from all envelopes so far.
+    """
+
+    kind: Literal["resonance"]
+    band_hz: tuple[PositiveHz, PositiveHz]
+    amplitude_mm: Annotated[float, Field(gt=0, le=1000, strict=True)]
+    """Largest amplitude of the table, that of the first sweep."""
+    largest_mm: Annotated[float, Field(gt=0, le=1000, strict=True)] | None = None
+    """Largest semi-amplitude wanted of any target: the table's is lowered where the model predicts more."""
+    sd_frequency: Annotated[float, Field(ge=1e-7, le=0.1, strict=True)] = 2e-5
+    sd_damping: Annotated[float, Field(ge=1e-4, le=0.5, strict=True)] = 0.008
+    """Relative standard deviations wanted of each natural frequency and damping ratio."""
+    most_steps: Annotated[int, Field(ge=8, le=1000, strict=True)] = 100
+
+    @field_validator("band_hz")
+    @classmethod
+    def _band_has_width(cls, band_hz: tuple[float, float]) -> tuple[float, float]:
+        if not band_hz[1] > 1.05 * band_hz[0]:
+            raise ValueError("the band's upper end must lie at least 5 % above its lower end")
+        return band_hz
+
+    @model_validator(mode="after")
+    def _one_capture_a_step(self) -> ResonancePhase:
+        if self.captures != 1 or self.both_directions:
+            raise ValueError("captures and both_directions do not belong here: the search chooses what to repeat")
+        return self
+
+
 class DwellPhase(ShakingPhase):
     """One excitation held for a time, then captured; with `repeats`, watched over hours."""
 
@@ -243,7 +274,8 @@ class PausePhase(PhaseSection):
 
 
 AnyPhase = Annotated[
-    SharpPhase | StepsPhase | SweepPhase | DwellPhase | ExternalPhase | PausePhase, Field(discriminator="kind")
+    SharpPhase | StepsPhase | SweepPhase | ResonancePhase | DwellPhase | ExternalPhase | PausePhase,
+    Field(discriminator="kind"),
 ]
 
 

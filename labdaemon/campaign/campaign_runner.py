@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from labdaemon.campaign.external_listener import ExternalListener
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.lookup import has_ended, outline, state_of
 from labdaemon.campaign.measurement_queue import MeasurementQueue
+from labdaemon.campaign.mode_search import ModeSearch
+from labdaemon.campaign.open_steps import group_sizes, with_decisions
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner
 from labdaemon.campaign.run_control import RunControl
@@ -18,6 +21,7 @@ from labdaemon.capture.context import AcquisitionContext
 from labdaemon.errors import ConfigError, InterlockError, LabdaemonError, StorageError, StorageUnavailable
 from labdaemon.events import CampaignData
 from labdaemon.journal import records, transitions
+from labdaemon.journal.decision_records import decisions_of
 from labdaemon.journal.records import CampaignRecord, CampaignState
 from labdaemon.journal.storage import JournalError
 
@@ -40,6 +44,8 @@ class CampaignRunner:
         The campaigns' folders.
     step_runner
         Runs the steps.
+    search
+        Decides steps that the plan leaves open.
     listener
         Keeps what an outside system fires while the campaign is paused.
     accept_changed_rig
@@ -55,6 +61,7 @@ class CampaignRunner:
     reporter: CampaignReporter
     files: CampaignFiles
     step_runner: RetryingStepRunner
+    search: ModeSearch
     listener: ExternalListener
     accept_changed_rig: bool
     current: CampaignRecord | None = None
@@ -74,6 +81,7 @@ class CampaignRunner:
                 else:
                     await self.move(record, "paused", CHANGED_RIG)
                     self.control.clear("pause")
+            self.plan = plan = self._as_decided(record.id, plan)
             await self.files.open(record, plan)
             if state_of(self.context.recorder.journal, record.id) == "queued":
                 await self.move(record, "running", data=outline(plan))
@@ -104,6 +112,14 @@ class CampaignRunner:
                 case "go" if step is None:
                     if await self._finish(record, plan):
                         return
+                case "go" if step is not None and step.is_open:
+                    self.step = step
+                    decide = partial(self.search.decide, record.id, plan, step)
+                    await self.step_runner.decide(record.id, step, decide, monitor)
+                    self.plan = plan = self._as_decided(record.id, plan)
+                    self.queue.expect_groups(record.id, group_sizes(plan))
+                    if has_ended(self.context.recorder.journal, record.id, step.index):  # skipped after a fault
+                        ended.add(step.index)
                 case "go" if step is not None:
                     self.step = step
                     await self.step_runner.run(record.id, step, monitor)
@@ -111,6 +127,9 @@ class CampaignRunner:
                         ended.add(step.index)
                         if step.kind == "pause" and not step.hold_s:
                             self.control.request("pause", f"{step.label} waits for a person")
+
+    def _as_decided(self, campaign: str, plan: Plan) -> Plan:
+        return with_decisions(plan, decisions_of(self.context.recorder.journal, campaign))
 
     async def _pause(self, record: CampaignRecord, monitor: asyncio.Task[None]) -> None:
         await self.rest()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labdaemon.campaign.measurement_queue import MeasurementQueue
+from labdaemon.campaign.open_steps import group_sizes
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.steps import Plan
 from labdaemon.capture.paths import campaign_folder
@@ -58,7 +59,7 @@ class CampaignFiles:
             The folder cannot be made: a reason to fail this campaign, and no other.
         """
         files = {**self.files, "campaign.toml": record.toml}
-        sizes = {step.label: len(step.shots) for step in plan.steps if step.grouped}
+        sizes = group_sizes(plan)
 
         async def work() -> None:
             await self.recorder.on_disk(prepare_folder, self.data, record.id, files)

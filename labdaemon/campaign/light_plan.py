@@ -63,13 +63,13 @@ class LightPlan:
     shots
         One for each code.
     precision
-        What the group will know.
+        What the group will know; None where it was not predicted.
     notes
         What a person should know before it runs.
     """
 
     shots: tuple[Shot, ...]
-    precision: LightPrecision
+    precision: LightPrecision | None
     notes: tuple[str, ...]
 
 
@@ -96,6 +96,34 @@ class LitExcitation:
     expected_mm: float
 
 
+def lit_shots(lit: LitExcitation, lamp: Lamp | None, steps_s: Sequence[float]) -> tuple[Shot, ...]:
+    """Choose exposure and cycles, without a prediction of what the group will know.
+
+    Raises
+    ------
+    ConfigError
+        The rig has no lamp, or the lamp cannot show the code.
+    LimitError
+        No exposure near the nominal one has room for a whole cycle.
+    """
+    lamp = _check(lit, lamp)
+    sectors = min(len(code) for code in lit.codes)
+    chosen = choose_lit_exposure(
+        steps_s, lit.nominal_s, lambda exposure_s: lamp.cycles_within(exposure_s, lit.frequency_hz, sectors)
+    )
+    if chosen is None:
+        need_s = (1 + 1 / sectors) / lit.frequency_hz + lamp.margin_s
+        raise LimitError(
+            f"no whole cycle of the code fits into an exposure near {lit.nominal_s:g} s: one takes {need_s:.3g} s with "
+            "the wait for its beginning and the shutters' margin; expose longer"
+        )
+    exposure_s, cycles = chosen
+    return tuple(
+        Shot(exposure_s, exposure_s * lit.frequency_hz, light=LightRequest(code, cycles, lit.phase_rad))
+        for code in lit.codes
+    )
+
+
 def plan_light(lit: LitExcitation, lamp: Lamp | None, steps_s: Sequence[float], scale: ImageScale) -> LightPlan:
     """Choose exposure and cycles, and predict what the group will know.
 
@@ -112,21 +140,7 @@ def plan_light(lit: LitExcitation, lamp: Lamp | None, steps_s: Sequence[float], 
         No exposure near the nominal one has room for a whole cycle.
     """
     lamp = _check(lit, lamp)
-    sectors = min(len(code) for code in lit.codes)
-    chosen = choose_lit_exposure(
-        steps_s, lit.nominal_s, lambda exposure_s: lamp.cycles_within(exposure_s, lit.frequency_hz, sectors)
-    )
-    if chosen is None:
-        need_s = (1 + 1 / sectors) / lit.frequency_hz + lamp.margin_s
-        raise LimitError(
-            f"no whole cycle of the code fits into an exposure near {lit.nominal_s:g} s: one takes {need_s:.3g} s with "
-            "the wait for its beginning and the shutters' margin; expose longer"
-        )
-    exposure_s, cycles = chosen
-    shots = tuple(
-        Shot(exposure_s, exposure_s * lit.frequency_hz, light=LightRequest(code, cycles, lit.phase_rad))
-        for code in lit.codes
-    )
+    shots = lit_shots(lit, lamp, steps_s)
     amplitude_px = _two_figures(max(lit.expected_mm, 1e-3) * scale.px_per_mm)
     try:
         precision, twin_sd = _precision(shots, lit.frequency_hz, lamp, amplitude_px, scale)

@@ -204,6 +204,10 @@ class MeasurementQueue:
         self._start = asyncio.create_task(self._measurer.check_frames(campaign_folder(self._data, campaign), []))
         await self.rewrite(campaign)
 
+    def expect_groups(self, campaign: str, group_sizes: Mapping[str, int]) -> None:
+        """Learn how many captures each group has, where a search has decided on further steps."""
+        self._group_sizes[campaign] = group_sizes
+
     async def rewrite(self, campaign: str) -> None:
         """Write a campaign's result files anew from the journal.
 

@@ -6,23 +6,23 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from labdaemon.campaign.campaign_file import (
     MAX_STEPS,
     AnyPhase,
     Campaign,
-    DwellPhase,
     ExternalPhase,
     PausePhase,
+    ResonancePhase,
     ShakingPhase,
     SharpPhase,
-    StepsPhase,
-    SweepPhase,
-    frequencies,
 )
-from labdaemon.campaign.light_plan import ImageScale, LitExcitation, plan_light
+from labdaemon.campaign.excitations import ExcitedPhase, excitations, hold_after_settling_s
+from labdaemon.campaign.light_plan import ImageScale, LightPlan, LitExcitation, lit_shots, plan_light
 from labdaemon.campaign.limits import ShakerLimits, check_amplitude, check_frequency
-from labdaemon.campaign.steps import Plan, SettleRule, Shot, Step
+from labdaemon.campaign.sharp_schedule import StepDraft, with_sharp_sets
+from labdaemon.campaign.steps import Plan, SearchPlan, SettleRule, Shot, Step
 from labdaemon.capture.exposure import choose_exposure, common_steps_s
 from labdaemon.capture.lamp import Lamp
 from labdaemon.capture.settle import settling_time_s
@@ -96,24 +96,15 @@ def make_plan(campaign: Campaign, rig: PlanRig) -> Plan:
         A phase sets the shaker or fires the shutters, and the rig has no shaker or trigger.
     """
     planner = _Planner(campaign, rig)
-    steps = _with_sharp_sets(planner.drafts())
+    steps = with_sharp_sets(planner.drafts())
     if len(steps) > MAX_STEPS:
         raise planner.limit("phase", f"makes more than {MAX_STEPS} steps; split the campaign")
     digest = hashlib.sha256(json.dumps([campaign.toml, rig.digest]).encode()).hexdigest()
-    plan = Plan(campaign.name, tuple(steps), campaign.toml, digest, tuple(planner.notes))
+    plan = Plan(campaign.name, tuple(steps), campaign.toml, digest, tuple(planner.notes), tuple(planner.searches))
     if rig.free_bytes is not None and plan.predicted_bytes > rig.free_bytes:
         need, room = plan.predicted_bytes / 1e9, rig.free_bytes / 1e9
         raise planner.limit(None, f"needs {need:.2f} GB of disk where {room:.2f} GB are free; free some or plan less")
     return plan
-
-
-@dataclass(frozen=True, slots=True)
-class _Draft:
-    """A step before it is numbered, with the schedule that its sharp set starts."""
-
-    step: Step
-    every_steps: int | None = None
-    every_s: float | None = None
 
 
 class _Planner:
@@ -125,11 +116,12 @@ class _Planner:
         self.exposures_s = common_steps_s(rig.exposure_steps_s.values())
         self.notes: dict[str, None] = {}
         """In the order in which they came up, each once."""
+        self.searches: list[SearchPlan] = []
 
     def limit(self, key: str | None, message: str) -> LimitError:
         return LimitError(message, source=self.source, key=key)
 
-    def drafts(self) -> Iterator[_Draft]:
+    def drafts(self) -> Iterator[StepDraft]:
         count = 0
         if first := self.missing_sharp():
             yield from self.phase(*first)
@@ -151,11 +143,11 @@ class _Planner:
                 return place, SharpPhase(kind="sharp", exposure_s=phase.exposure_s)
         return None
 
-    def phase(self, place: int, phase: AnyPhase) -> Iterator[_Draft]:
+    def phase(self, place: int, phase: AnyPhase) -> Iterator[StepDraft]:
         """Steps of one pass through one phase."""
         if isinstance(phase, SharpPhase):
             shot = self.shot(place, phase.exposure_s, None)
-            yield _Draft(
+            yield StepDraft(
                 self.step(place, phase, None, None, (shot,) * phase.frames, at_rest=phase.at_rest),
                 phase.every_steps,
                 phase.every_s,
@@ -163,20 +155,61 @@ class _Planner:
         elif isinstance(phase, ExternalPhase):
             yield from self.external(place, phase)
         elif isinstance(phase, PausePhase):
-            yield _Draft(self.step(place, phase, None, None, (), hold_s=phase.duration_s or 0.0))
+            yield StepDraft(self.step(place, phase, None, None, (), hold_s=phase.duration_s or 0.0))
+        elif isinstance(phase, ResonancePhase):
+            yield from self.resonance(place, phase)
         else:
             yield from self.shaking(place, phase)
 
-    def external(self, place: int, phase: ExternalPhase) -> Iterator[_Draft]:
+    def resonance(self, place: int, phase: ResonancePhase) -> Iterator[StepDraft]:
+        """A first sweep, and as many steps as may follow it, decided on the way; the last one only ends it."""
+        number = len(self.searches)
+        settle = phase.settle.value()
+        first = [replace(draft, step=replace(draft.step, search=number)) for draft in self.shaking(place, phase)]
+        if len(first) > phase.most_steps:
+            raise self.limit(
+                f"phase[{place}].most_steps",
+                f"is {phase.most_steps}, and the first sweep over this band alone has {len(first)} steps",
+            )
+        self.searches.append(
+            SearchPlan(
+                number,
+                phase.band_hz,
+                phase.sd_frequency,
+                phase.sd_damping,
+                phase.most_steps,
+                phase.amplitude_mm,
+                phase.largest_mm,
+                settle,
+                partial(self.decided, place, phase),
+            )
+        )
+        yield from first
+        longest = max((draft.step for draft in first), key=lambda step: step.predicted_s)
+        follow = replace(longest, label=longest.label.rpartition("-")[0], frequency_hz=None, amplitude_mm=None)
+        follow = replace(follow, precision=None, grouped=False)
+        yield from [StepDraft(follow)] * (phase.most_steps - len(first))
+        yield StepDraft(replace(follow, shots=(), predicted_s=0.0, predicted_bytes=0))
+
+    def decided(
+        self, place: int, phase: ResonancePhase, step: Step, frequency_hz: float, amplitude_mm: float, hold_s: float
+    ) -> Step:
+        """An open step with its excitation, checked as every step is."""
+        self.check(place, frequency_hz, amplitude_mm, "band_hz", "amplitude_mm")
+        draft = next(self.setting(place, phase, frequency_hz, amplitude_mm, hold_s=hold_s, is_predicted=False))
+        label = f"{step.index:05d}-{draft.step.label}"
+        return replace(draft.step, index=step.index, label=label, sharp_set=step.sharp_set, search=step.search)
+
+    def external(self, place: int, phase: ExternalPhase) -> Iterator[StepDraft]:
         """Captures that others fire: one step for all, or one for each group at several phases."""
         shot = self.shot(place, phase.exposure_s, phase.frequency_hz, half_cycles=phase.phase_rad is not None)
         groups = [(shot,) * phase.captures]
         if phase.phase_rad is not None:
             groups = [tuple(replace(shot, phase_rad=phase_rad) for phase_rad in phase.phase_rad)] * phase.captures
         for shots in groups:
-            yield _Draft(self.step(place, phase, phase.frequency_hz, phase.amplitude_mm, shots, hold_s=phase.wait_s))
+            yield StepDraft(self.step(place, phase, phase.frequency_hz, phase.amplitude_mm, shots, hold_s=phase.wait_s))
 
-    def shaking(self, place: int, phase: StepsPhase | SweepPhase | DwellPhase) -> Iterator[_Draft]:
+    def shaking(self, place: int, phase: ExcitedPhase) -> Iterator[StepDraft]:
         """Steps that set the shaker: up, and down again if both directions are asked for."""
         if self.rig.limits is None:
             raise ConfigError(
@@ -188,51 +221,71 @@ class _Planner:
                 source=self.source,
                 key=f"phase[{place}]",
             )
-        settings = list(_settings(phase))
+        settings = list(excitations(phase))
         for frequency_hz, amplitude_mm, frequency_key, amplitude_key in settings:
-            at = f"phase[{place}]."
-            if crossed := check_frequency(self.rig.limits, frequency_hz):
-                raise self.limit(at + frequency_key, crossed)
-            if crossed := check_amplitude(self.rig.limits, frequency_hz, amplitude_mm):
-                raise self.limit(at + amplitude_key, crossed)
-            if refused := self.rig.refusal(frequency_hz, amplitude_mm):
-                raise self.limit(at + amplitude_key, refused)
+            self.check(place, frequency_hz, amplitude_mm, frequency_key, amplitude_key)
         sequence = settings + settings[-2::-1] if phase.both_directions else settings
         for frequency_hz, amplitude_mm, _, _ in sequence:
-            yield from self.setting(place, phase, frequency_hz, amplitude_mm)
+            yield from self.setting(
+                place, phase, frequency_hz, amplitude_mm, hold_s=hold_after_settling_s(phase, frequency_hz)
+            )
+
+    def check(
+        self, place: int, frequency_hz: float, amplitude_mm: float, frequency_key: str, amplitude_key: str
+    ) -> None:
+        """Refuse what the table must not or cannot do, by the key that it was read from."""
+        assert self.rig.limits is not None
+        at = f"phase[{place}]."
+        if crossed := check_frequency(self.rig.limits, frequency_hz):
+            raise self.limit(at + frequency_key, crossed)
+        if crossed := check_amplitude(self.rig.limits, frequency_hz, amplitude_mm):
+            raise self.limit(at + amplitude_key, crossed)
+        if refused := self.rig.refusal(frequency_hz, amplitude_mm):
+            raise self.limit(at + amplitude_key, refused)
 
     def setting(
-        self, place: int, phase: StepsPhase | SweepPhase | DwellPhase, frequency_hz: float, amplitude_mm: float
-    ) -> Iterator[_Draft]:
+        self,
+        place: int,
+        phase: ExcitedPhase,
+        frequency_hz: float,
+        amplitude_mm: float,
+        *,
+        hold_s: float,
+        is_predicted: bool = True,
+    ) -> Iterator[StepDraft]:
         """One excitation: its captures, or one step for each group of captures at several phases."""
-        hold_s = phase.hold_s if isinstance(phase, DwellPhase) else 0.0
         settle = phase.settle.value()
         if phase.light is not None:
-            yield from self.lit(place, phase, frequency_hz, amplitude_mm, hold_s)
+            yield from self.lit(place, phase, frequency_hz, amplitude_mm, hold_s, is_predicted=is_predicted)
             return
         if phase.phase_rad is None:
             shots = (self.shot(place, phase.exposure_s, frequency_hz),) * phase.captures
-            yield _Draft(self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=hold_s))
+            yield StepDraft(self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=hold_s))
             return
         plain = self.shot(place, phase.exposure_s, frequency_hz, half_cycles=True)
         shots = tuple(replace(plain, phase_rad=phase_rad) for phase_rad in phase.phase_rad)
         for group in range(phase.captures):
             held_s = hold_s if group == 0 else 0.0
-            yield _Draft(self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=held_s))
+            yield StepDraft(self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=held_s))
 
     def lit(
         self,
         place: int,
-        phase: StepsPhase | SweepPhase | DwellPhase,
+        phase: ExcitedPhase,
         frequency_hz: float,
         amplitude_mm: float,
         hold_s: float,
-    ) -> Iterator[_Draft]:
+        *,
+        is_predicted: bool,
+    ) -> Iterator[StepDraft]:
         """One excitation under coded light: its captures, or one step for each group of captures with several codes."""
         expected_mm = phase.expected_mm or amplitude_mm
         lit = LitExcitation(phase.light_codes, phase.light_phase_rad, phase.exposure_s, frequency_hz, expected_mm)
         try:
-            planned = plan_light(lit, self.rig.lamp, self.exposures_s, self.rig.scale)
+            if is_predicted:
+                planned = plan_light(lit, self.rig.lamp, self.exposures_s, self.rig.scale)
+            else:
+                planned = LightPlan(lit_shots(lit, self.rig.lamp, self.exposures_s), None, ())
         except (ConfigError, LimitError) as exc:
             key = f"phase[{place}]." + ("exposure_s" if isinstance(exc, LimitError) else "light")
             raise type(exc)(str(exc), source=self.source, key=key) from None
@@ -242,7 +295,7 @@ class _Planner:
             held_s = hold_s if number == 0 else 0.0
             settle = phase.settle.value()
             step = self.step(place, phase, frequency_hz, amplitude_mm, shots, settle=settle, hold_s=held_s)
-            yield _Draft(replace(step, precision=planned.precision, grouped=len(planned.shots) > 1))
+            yield StepDraft(replace(step, precision=planned.precision, grouped=len(planned.shots) > 1))
 
     def shot(self, place: int, nominal_s: float, frequency_hz: float | None, *, half_cycles: bool = False) -> Shot:
         """The exposure that the cameras can give."""
@@ -298,50 +351,3 @@ def _offered(exposures_s: Sequence[float]) -> str:
             return f"the cameras offer only {only:.4g} s (turn the dial to M or S for more)"
         case _:
             return f"the cameras offer {exposures_s[0]:.4g} to {exposures_s[-1]:.4g} s"
-
-
-def _settings(phase: StepsPhase | SweepPhase | DwellPhase) -> Iterator[tuple[float, float, str, str]]:
-    """Frequency, amplitude and the keys that they were read from, in the order of the file."""
-    if isinstance(phase, DwellPhase):
-        yield phase.frequency_hz, phase.amplitude_mm, "frequency_hz", "amplitude_mm"
-        return
-    values = frequencies(phase.frequency_hz)
-    is_list = isinstance(phase.frequency_hz, tuple)
-    for place, frequency_hz in enumerate(values):
-        frequency_key = f"frequency_hz[{place}]" if is_list else "frequency_hz"
-        if isinstance(phase, SweepPhase):
-            yield frequency_hz, phase.amplitude_at(frequency_hz), frequency_key, phase.level_key
-        elif isinstance(phase.amplitude_mm, tuple):
-            yield frequency_hz, phase.amplitude_mm[place], frequency_key, f"amplitude_mm[{place}]"
-        else:
-            yield frequency_hz, phase.amplitude_mm, frequency_key, "amplitude_mm"
-
-
-def _with_sharp_sets(drafts: Iterator[_Draft]) -> list[Step]:
-    """Number the steps, put retaken sharp sets where their schedule wants them, and tell each step its set."""
-    steps: list[Step] = []
-    schedule: _Draft | None = None
-    sets = since_steps = 0
-    since_s = 0.0
-
-    def add(step: Step) -> None:
-        nonlocal sets, since_steps, since_s
-        index = len(steps)
-        if step.kind == "sharp":
-            sets, since_steps, since_s = sets + 1, 0, 0.0
-        sharp_set = f"set-{sets:03d}" if sets > 1 else ""
-        steps.append(replace(step, index=index, label=f"{index:05d}-{step.label}", sharp_set=sharp_set))
-        if step.kind != "sharp":
-            since_steps, since_s = since_steps + 1, since_s + step.predicted_s
-
-    for draft in drafts:
-        if draft.step.kind == "sharp":
-            schedule = draft
-        elif schedule is not None and draft.step.shots:
-            due = (schedule.every_steps is not None and since_steps >= schedule.every_steps) or (
-                schedule.every_s is not None and since_s >= schedule.every_s
-            )
-            if due:
-                add(schedule.step)
-        add(draft.step)
-    return steps

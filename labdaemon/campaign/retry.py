@@ -8,7 +8,9 @@ says.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field
+from typing import Any
 
 from labdaemon.campaign.enable_line import EnableLine
 from labdaemon.campaign.interlock_monitor import PollIntervals
@@ -124,12 +126,26 @@ class RetryingStepRunner:
 
     async def run(self, campaign: str, step: Step, monitor: asyncio.Task[None]) -> None:
         """A step to its end, or until a person asks for something else (see `RunControl.requested`)."""
+        await self._attempt(campaign, step, lambda: self._run_once(campaign, step, monitor))
+
+    async def decide(
+        self, campaign: str, step: Step, decide: Callable[[], Coroutine[Any, Any, None]], monitor: asyncio.Task[None]
+    ) -> None:
+        """The excitation of an open step, with the table as the step before left it; interrupted as steps are."""
+
+        async def once() -> None:
+            self.activity, self.began_s = "choosing the next step", self._context.clock.monotonic()
+            await self._control.run_step(decide(), monitor)
+
+        await self._attempt(campaign, step, once)
+
+    async def _attempt(self, campaign: str, step: Step, work: Callable[[], Awaitable[None]]) -> None:
         failures = 0
         while self._control.requested == "go":
             try:
                 if self.needs_recovery:
                     await self.recover(campaign, step)
-                await self._run_once(campaign, step, monitor)
+                await work()
             except StepInterruption:
                 self.needs_recovery = True
                 return

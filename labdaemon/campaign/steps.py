@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 from labdaemon.capture.lamp import LightRequest
 
-PhaseKind = Literal["sharp", "steps", "dwell", "sweep", "external", "pause"]
+PhaseKind = Literal["sharp", "steps", "dwell", "sweep", "resonance", "external", "pause"]
 OnFault = Literal["retry", "skip", "pause", "abort"]
 
 
@@ -102,6 +103,47 @@ class Step:
     """False for a sharp set of a structure that never rests."""
     precision: LightPrecision | None = None
     """Of captures under coded light."""
+    search: int | None = None
+    """Number of the search for modes that it belongs to, from 0 in each campaign; None for other steps."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether its excitation is decided when its turn comes."""
+        return self.search is not None and self.frequency_hz is None
+
+
+@dataclass(frozen=True, slots=True)
+class SearchPlan:
+    """A search for modes: a series of steps whose first ones are planned and the others decided on the way.
+
+    Attributes
+    ----------
+    number
+        From 0 in each campaign.
+    band_hz
+        Where natural frequencies are searched.
+    sd_frequency, sd_damping
+        Relative standard deviations wanted.
+    most_steps
+        Steps at most.
+    amplitude_mm, largest_mm
+        Largest amplitude of the table, and of any target as far as the model can predict it; None for no limit.
+    settle
+        Rule of its steps.
+    make_step
+        An open step with the frequency (Hz), the amplitude (mm) and the hold (s) that were decided, checked against
+        the rig as every step; raises `LimitError`.
+    """
+
+    number: int
+    band_hz: tuple[float, float]
+    sd_frequency: float
+    sd_damping: float
+    most_steps: int
+    amplitude_mm: float
+    largest_mm: float | None
+    settle: SettleRule
+    make_step: Callable[[Step, float, float, float], Step]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +158,8 @@ class Plan:
     """SHA-256 of text and of the parts of the rig it was planned for: resuming under another is refused."""
     notes: tuple[str, ...] = ()
     """What a person should know before it runs."""
+    searches: tuple[SearchPlan, ...] = ()
+    """Searches for modes, by their number."""
 
     @property
     def predicted_s(self) -> float:

@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 from dataclasses import asdict
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
@@ -89,7 +90,8 @@ def plan(
         click.echo("* a part cycle: measured with the shutter's true window, which takes the excitation's phase")
     note = sentence(enable_line(rig))
     click.echo(
-        f"{len(made.steps)} steps, {sum(len(step.shots) for step in made.steps)} captures, about "
+        f"{'at most ' if made.searches else ''}{sum(not step.is_open or bool(step.shots) for step in made.steps)} steps, "
+        f"{sum(len(step.shots) for step in made.steps)} captures, about "
         f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
         + (f"; {note}" if note else "")
     )
@@ -151,7 +153,18 @@ def table(made: Plan, limits: ShakerLimits | None) -> list[str]:
         f"{'step':<26}{'f Hz':>8}{'A mm':>8}{'v mm/s':>8}{'a mm/s²':>9}{'shots':>6}{'exposure s':>12}{'cycles':>8} "
         f"{'time':>9}{'limit':>7}"
     )
-    return [head, *(_line(step, limits) for step in made.steps)]
+    lines = [head]
+    for is_open, steps in groupby(made.steps, key=lambda step: step.is_open):
+        lines += [_open_line(list(steps))] if is_open else [_line(step, limits) for step in steps]
+    return lines
+
+
+def _open_line(steps: list[Step]) -> str:
+    """What a search for modes may add."""
+    shots = sum(len(step.shots) for step in steps)
+    count = sum(bool(step.shots) for step in steps)
+    time = duration(sum(step.predicted_s for step in steps))
+    return f"{steps[0].label:<26}up to {count} steps more, decided from the envelopes before: {shots} captures, {time}"
 
 
 def _line(step: Step, limits: ShakerLimits | None) -> str:

@@ -107,6 +107,8 @@ def event_line(event: dict[str, Any]) -> str | None:
             return f"step       {what}"
         case "step.completed":
             return None
+        case "step.decided":
+            return f"decided    {_decision(data)}"
         case "step.skipped":
             return f"skipped    {data.get('label', data.get('step'))}: {data.get('reason', '')}".rstrip(": ")
         case "fault":
@@ -117,6 +119,14 @@ def event_line(event: dict[str, Any]) -> str | None:
         case _:
             reason = f": {data['reason']}" if data.get("reason") else ""
             return f"{kind.partition('.')[2] or kind:<10} campaign {event.get('campaign') or ''}{reason}"
+
+
+def _decision(data: dict[str, Any]) -> str:
+    """The next step of a search for modes with its reason, or its end with the modes found."""
+    where = excitation(data) if data.get("frequency_hz") is not None else "no further step"
+    found = ", ".join(f"{mode['frequency_hz']:.4f} ± {mode['sd_frequency_hz']:.4f}" for mode in data.get("modes", ()))
+    known = f"; modes at {found} Hz" if found else "; no mode yet"
+    return f"{where}: {data.get('reason', '')}{known}"
 
 
 def _envelope(data: dict[str, Any]) -> str:

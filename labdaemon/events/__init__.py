@@ -29,10 +29,12 @@ from labdaemon.events.kinds import (
     KnownEvent,
     StatusReport,
     StepCompleted,
+    StepDecided,
     StepSkipped,
     StepStarted,
     UnknownEvent,
 )
+from labdaemon.events.mode_search import DecisionData, ModeEstimate
 from labdaemon.events.parse import KINDS, check_payload, event_schema, parse_event
 from labdaemon.events.payloads import (
     CampaignData,
@@ -57,6 +59,7 @@ __all__ = [
     "CampaignStarted",
     "CaptureCompleted",
     "CaptureData",
+    "DecisionData",
     "EnvelopeData",
     "EnvelopeMeasured",
     "Event",
@@ -66,10 +69,12 @@ __all__ = [
     "FrameFile",
     "GaugeMotion",
     "KnownEvent",
+    "ModeEstimate",
     "StatusData",
     "StatusReport",
     "StepCompleted",
     "StepData",
+    "StepDecided",
     "StepSkipped",
     "StepStarted",
     "TargetRow",

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Generic, Literal, TypeAlias, TypeVar
 
 from pydantic import Field
 
+from labdaemon.events.mode_search import DecisionData
 from labdaemon.events.payloads import (
     CampaignData,
     CaptureData,
@@ -104,6 +105,12 @@ class StepSkipped(EventBase[StepData]):
     kind: Literal["step.skipped"] = "step.skipped"
 
 
+class StepDecided(EventBase[DecisionData]):
+    """A search for modes has chosen the excitation of its next step, or has ended."""
+
+    kind: Literal["step.decided"] = "step.decided"
+
+
 class CaptureCompleted(EventBase[CaptureData]):
     """All frames of a capture are on disk."""
 
@@ -144,6 +151,7 @@ KnownEvent: TypeAlias = Annotated[
     | StepStarted
     | StepCompleted
     | StepSkipped
+    | StepDecided
     | CaptureCompleted
     | EnvelopeMeasured
     | FaultReported

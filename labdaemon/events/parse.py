@@ -10,6 +10,7 @@ from pydantic_core import from_json
 
 from labdaemon.errors import DataError
 from labdaemon.events.kinds import Event, KnownEvent, UnknownEvent
+from labdaemon.events.mode_search import DecisionData
 from labdaemon.events.payloads import (
     CampaignData,
     CaptureData,
@@ -30,6 +31,7 @@ _PAYLOADS: Mapping[str, type[EventPart]] = {
     "step.started": StepData,
     "step.completed": StepData,
     "step.skipped": StepData,
+    "step.decided": DecisionData,
     "capture.completed": CaptureData,
     "envelope": EnvelopeData,
     "fault": FaultData,

@@ -8,15 +8,19 @@ the search begins anew, with one more step in the widest gap.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from labdaemon.findings.find_modes import SIGNIFICANCE, find_modes, unusable_pole
-from labdaemon.findings.modal_fit import ModalFit, refit
+from labdaemon.findings.linearise import ModalProblem
+from labdaemon.findings.modal_basis import ModalBasis, ModeForm
+from labdaemon.findings.modal_fit import ModalFit, initial_parameters, refit
 from labdaemon.findings.next_frequency import candidate_frequencies, next_frequency
-from labdaemon.findings.response import FloatArray, ResponseSeries
+from labdaemon.findings.phase_retrieval import fit_with_signs, with_residues
+from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
 
 CLOSED_RATIO = 1.004
 """Ratio of neighbouring steps below which no mode hides between them."""
@@ -56,11 +60,14 @@ class SweepDecision:
         The model as it is now; None before there is one.
     reason
         Why, in a few words.
+    is_reached
+        Whether it is complete because all modes are known as well as was wanted.
     """
 
     frequency_hz: float | None
     fit: ModalFit | None
     reason: str
+    is_reached: bool = False
 
 
 def first_sweep(band_hz: tuple[float, float], ratio: float = FIRST_RATIO) -> FloatArray:
@@ -76,7 +83,7 @@ def decide(
     *,
     sd_mm: float,
     sd_table: float,
-    table_mm: float,
+    table_mm: float | Callable[[ModalFit, FloatArray], FloatArray],
 ) -> SweepDecision:
     """The next frequency after the steps so far.
 
@@ -87,7 +94,7 @@ def decide(
     known
         The fit of the last decision, to continue from; None: search.
     sd_mm, sd_table, table_mm
-        Expected of the next step.
+        Expected of the next step; the table's amplitude may depend on the model and the frequency.
     """
     fitted = _continue(series, known, goal)
     if fitted is None:
@@ -101,17 +108,42 @@ def decide(
         if len(series.frequency_hz) < 2 * len(first_sweep(goal.band_hz)):
             return SweepDecision(widest_gap(series.frequency_hz), fitted, "no mode is seen yet")
         return SweepDecision(None, fitted, "the band has no mode that shows")
+    candidates = candidate_frequencies(fitted, goal.band_hz)
     step = next_frequency(
         fitted,
-        candidate_frequencies(fitted, goal.band_hz),
+        candidates,
         sd_mm=sd_mm,
         sd_table=sd_table,
-        table_mm=table_mm,
+        table_mm=table_mm(fitted, candidates) if callable(table_mm) else table_mm,
         wanted=(goal.sd_frequency, goal.sd_damping),
     )
     if step is None:
-        return SweepDecision(None, fitted, "all modes are known as well as was wanted")
+        return SweepDecision(None, fitted, "all modes are known as well as was wanted", is_reached=True)
     return SweepDecision(step.frequency_hz, fitted, "here a step gives most information")
+
+
+def fit_poles(series: ResponseSeries, frequency_hz: FloatArray, damping: FloatArray, residual_terms: int) -> ModalFit:
+    """A fit that begins at these poles, so that a search can be taken up where another program left it.
+
+    Parameters
+    ----------
+    frequency_hz, damping
+        (M,) where the poles are nearly.
+    """
+    is_real = series.phase is PhaseReference.TARGET
+    problem = ModalProblem.of(
+        series, ModalBasis.over(series.frequency_hz, ModeForm.BASE_EXCITATION, residual_terms), is_real
+    )
+    return fit_with_signs(problem, with_residues(problem, initial_parameters(problem, frequency_hz, damping)))
+
+
+def largest_response(fitted: ModalFit, frequency_hz: FloatArray) -> FloatArray:
+    """(F,) largest semi-amplitude of any target over the table's, as the model predicts it."""
+    at = fitted.parameters
+    columns = fitted.problem.basis.columns(np.asarray(frequency_hz, float), at.frequency_hz, at.damping)
+    response = np.einsum("kp,tdp->ktd", columns, at.coefficients)
+    result: FloatArray = np.max(np.linalg.norm(response, axis=2), axis=1)
+    return result
 
 
 def _continue(series: ResponseSeries, known: ModalFit | None, goal: ResonanceGoal) -> ModalFit | None:

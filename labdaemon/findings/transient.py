@@ -7,11 +7,12 @@ the steps that had settled.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from labdaemon.findings.next_frequency import UNKNOWN_DAMPING
+from labdaemon.findings.next_frequency import UNKNOWN_DAMPING, remaining_transient
 from labdaemon.findings.response import FloatArray, ResponseSeries
 
 
@@ -31,3 +32,25 @@ def with_transients(
     """
     remaining = np.abs(change_per_cycle) * factor / (2 * np.pi * damping)
     return replace(series, sd_table=np.hypot(series.sd_table, remaining))
+
+
+def settling_hold_s(
+    change_per_cycle: float, damping: float, frequency_hz: float, sd_relative: float, factor: float = UNKNOWN_DAMPING
+) -> float:
+    """Time after which what remains of a transient is below a third of the amplitude's standard deviation, seconds.
+
+    Parameters
+    ----------
+    change_per_cycle
+        Relative change of the response from cycle to cycle now, or the limit below which it is known to be.
+    damping
+        ζ as it is known.
+    frequency_hz
+        Of the mode that rings down.
+    sd_relative
+        Standard deviation of the amplitude over the amplitude.
+    factor
+        By which the damping may be too large.
+    """
+    ratio = remaining_transient(change_per_cycle, damping, factor) / (sd_relative / 3)
+    return max(math.log(ratio), 0.0) / (2 * math.pi * damping * frequency_hz)

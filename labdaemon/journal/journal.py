@@ -21,6 +21,7 @@ from labdaemon.journal.event import EventText, StoredEvent, event_text, limit_by
 from labdaemon.journal.schema import (
     APPLICATION_ID,
     CARD_TABLES,
+    DECISION_TABLE,
     GAUGE_TABLE,
     LATER_INDEX,
     LIGHT_TABLE,
@@ -274,6 +275,7 @@ class Journal:
                 self._add_card_tables()
                 self._writer.execute(LIGHT_TABLE)
                 self._writer.execute(GAUGE_TABLE)
+                self._writer.execute(DECISION_TABLE)
                 self._reader = sqlite3.connect(self.path, READ_BUSY_S, isolation_level=None, check_same_thread=False)
                 self._reader.execute("PRAGMA query_only = ON")
                 self.uuid: str = self._reader.execute("SELECT value FROM meta WHERE key = 'uuid'").fetchone()[0]

@@ -265,6 +265,13 @@ def results(journal: Journal, campaign: str) -> Iterator[ResultRecord]:
         number = rows[-1][4]
 
 
+def envelope_rows(journal: Journal, campaign: str, name: str) -> list[dict[str, Any]]:
+    """The rows of one envelope, as `envelope.csv` carries them; empty where there is none of this name."""
+    found = journal.read("SELECT envelope FROM results WHERE campaign = ? AND name = ?", campaign, name)
+    rows: list[dict[str, Any]] = json.loads(found[0][0]) if found else []
+    return rows
+
+
 def result_names(journal: Journal, campaign: str) -> set[str]:
     """Captures and groups of a campaign that have a result."""
     return {row[0] for row in journal.read("SELECT name FROM results WHERE campaign = ?", campaign)}

@@ -121,6 +121,15 @@ CREATE TABLE IF NOT EXISTS gauge_motions (
 ) STRICT, WITHOUT ROWID
 """
 """What gauges saw during captures (`labdaemon.events.GaugeMotion` as JSON). Made for journals of before it, too."""
+DECISION_TABLE = """
+CREATE TABLE IF NOT EXISTS step_decisions (
+    campaign TEXT NOT NULL,
+    step INTEGER NOT NULL,
+    decision TEXT NOT NULL,
+    PRIMARY KEY (campaign, step)
+) STRICT, WITHOUT ROWID
+"""
+"""Decisions of searches for modes (`labdaemon.events.DecisionData` as JSON). Made for journals of before it, too."""
 QUEUE_TABLE = """
 CREATE TABLE IF NOT EXISTS queue_places (campaign TEXT PRIMARY KEY, place INTEGER NOT NULL) STRICT, WITHOUT ROWID
 """

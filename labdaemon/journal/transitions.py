@@ -13,6 +13,7 @@ from typing import Any
 from labdaemon.events import (
     CampaignData,
     CaptureData,
+    DecisionData,
     EnvelopeData,
     EventPart,
     FaultData,
@@ -21,6 +22,7 @@ from labdaemon.events import (
     check_payload,
 )
 from labdaemon.journal.card_records import CardIdentity, ClockOffset, add_card_file, keep_offsets
+from labdaemon.journal.decision_records import keep_decision
 from labdaemon.journal.gauge_records import keep_gauges
 from labdaemon.journal.journal import Journal, Transaction
 from labdaemon.journal.light_record import LightRecord, keep_light
@@ -133,6 +135,13 @@ def end_step(journal: Journal, campaign: str, data: StepData, skipped: str | Non
             skipped,
         )
         _emit(write, kind, campaign, data.model_copy(update={"reason": skipped} if skipped is not None else {}))
+
+
+def decide_step(journal: Journal, campaign: str, decision: DecisionData) -> None:
+    """Note what a search for modes has decided of a step that the plan left open."""
+    with journal.transaction("step.decided") as write:
+        keep_decision(write, campaign, decision)
+        _emit(write, "step.decided", campaign, decision)
 
 
 def intend_capture(journal: Journal, capture: CaptureRecord) -> None:

@@ -76,8 +76,8 @@ def status_of(engine: Engine, place: Mapping[str, Any] | None = None) -> dict[st
 def _left_s(engine: Engine, plan: Plan) -> float:
     """Predicted time of what is still to be done; within a step it follows the clock, down to nothing."""
     index = engine.step.index if engine.step is not None else 0
-    later_s = sum(step.predicted_s for step in plan.steps[index + 1 :])
-    present_s = plan.steps[index].predicted_s if index < len(plan.steps) else 0.0
+    later_s = sum(step.predicted_s for step in plan.steps if step.index > index)
+    present_s = sum(step.predicted_s for step in plan.steps if step.index == index)
     if engine.step_runner.began_s is not None and engine.step is not None:
         present_s -= engine.context.clock.monotonic() - engine.step_runner.began_s
     return later_s + max(present_s, 0.0)

@@ -1,0 +1,203 @@
+"""Decides the open steps of a search for modes from the envelopes that the journal has.
+
+A decision follows from the journal alone (the envelopes of the search's steps and the poles of the decision before), is
+written to it before anything moves, and is never made twice.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from labdaemon.campaign.excitations import FREQUENCY_DIGITS
+from labdaemon.campaign.measurement_queue import MeasurementQueue
+from labdaemon.campaign.steps import Plan, SearchPlan, Step
+from labdaemon.capture.recorder import Recorder
+from labdaemon.errors import LimitError
+from labdaemon.events import DecisionData, ModeEstimate
+from labdaemon.journal import records, transitions
+from labdaemon.journal.decision_records import decisions_of
+from labdaemon.journal.gauge_records import gauges_of
+from labdaemon.journal.journal import Journal
+
+if TYPE_CHECKING:
+    from labdaemon.findings import ModalFit
+    from labdaemon.findings.closed_loop import SweepDecision
+    from labdaemon.findings.envelope_series import MeasuredStep
+    from labdaemon.findings.response import FloatArray, ResponseSeries
+
+LEAST_AMPLITUDE = 0.02
+"""The table's amplitude is lowered to this part of the largest one at most."""
+
+log: logging.Logger = logging.getLogger(__name__)
+
+
+class ModeSearch:
+    """Searches for modes in the campaign in progress.
+
+    Parameters
+    ----------
+    recorder
+        The journal.
+    queue
+        Measures what was captured.
+    """
+
+    def __init__(self, recorder: Recorder, queue: MeasurementQueue) -> None:
+        self._recorder, self._queue = recorder, queue
+
+    async def decide(self, campaign: str, plan: Plan, step: Step) -> None:
+        """Decide an open step, once all captures before it are measured; the journal has the decision then."""
+        await self._queue.enqueue_stored(campaign)
+        await self._queue.drain()
+        decision = await self._recorder.in_background(decide_step, self._recorder.journal, campaign, plan, step)
+        log.info("search %d, step %d: %s", decision.search, decision.step, decision.reason)
+        await self._recorder.write(transitions.decide_step, campaign, decision)
+
+
+def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> DecisionData:
+    """What the journal's envelopes say about an open step.
+
+    Parameters
+    ----------
+    plan
+        With all decisions so far.
+    step
+        The first one of its search that is open.
+    """
+    assert step.search is not None
+    search = plan.searches[step.search]
+    # Loaded where it is asked for: the table must be at rest before anything heavy is loaded.
+    from labdaemon.findings.envelope_series import envelope_series
+
+    before = [one for one in plan.steps if one.search == step.search and one.index < step.index]
+    measured = measured_steps(journal, campaign, before)
+    series = envelope_series(measured).series if measured else None
+    if series is None or not series.valid().any():
+        reason = "no capture of this search has a target without a flag"
+        return DecisionData(step=step.index, search=search.number, reason=reason, is_reached=False)
+    earlier = [one for one in decisions_of(journal, campaign).values() if one.search == search.number]
+    return _next_step(search, step, series, earlier[-1] if earlier else None)
+
+
+def measured_steps(journal: Journal, campaign: str, steps: Sequence[Step]) -> list[MeasuredStep]:
+    """Envelopes of these steps that the journal has, in the order of the steps."""
+    from labdaemon.envelope import TargetEnvelope
+    from labdaemon.findings.envelope_series import MeasuredStep
+    from labdaemon.processing import table_motion
+
+    found: list[MeasuredStep] = []
+    for step in steps:
+        captures = records.captures(journal, campaign, "measured", step=step.index)
+        last = {capture.grouped or capture.name: capture for capture in captures}
+        for name, capture in last.items():
+            rows = records.envelope_rows(journal, campaign, name)
+            if not rows or capture.frequency_hz is None:
+                continue
+            gauges = {one.gauge: one.model_dump() for one in gauges_of(journal, campaign, capture.name)}
+            table = table_motion({"gauges": gauges, "excitation_amplitude_mm": capture.amplitude_mm})
+            targets = {str(row["target"]): TargetEnvelope.from_row(row) for row in rows}
+            if table is None:
+                continue
+            relative_sd = table.sd_mm / table.amplitude_mm
+            phase = (table.phase_rad, table.sd_phase_rad)
+            found.append(MeasuredStep(capture.frequency_hz, targets, table.amplitude_mm, relative_sd, *phase))
+    return found
+
+
+def _next_step(search: SearchPlan, step: Step, series: ResponseSeries, earlier: DecisionData | None) -> DecisionData:
+    import numpy as np
+
+    from labdaemon.findings.closed_loop import ResonanceGoal, decide, fit_poles
+
+    known = None
+    if earlier is not None and earlier.modes and earlier.residual_terms is not None:
+        frequency = np.array([one.frequency_hz for one in earlier.modes])
+        damping = np.array([one.damping for one in earlier.modes])
+        known = fit_poles(series, frequency, damping, earlier.residual_terms)
+    goal = ResonanceGoal(search.band_hz, search.sd_frequency, search.sd_damping, search.most_steps)
+    sd_mm, sd_table = float(np.median(series.sd_real[series.valid()])), float(np.median(series.sd_table))
+
+    def table_mm(fitted: ModalFit, frequency_hz: FloatArray) -> FloatArray:
+        return _table_mm(search, fitted, frequency_hz)
+
+    found = decide(series, known, goal, sd_mm=sd_mm, sd_table=sd_table, table_mm=table_mm)
+    about = DecisionData(
+        step=step.index,
+        search=search.number,
+        reason=found.reason,
+        measured=series.steps,
+        modes=_estimates(found.fit, search),
+        residual_terms=None if found.fit is None else found.fit.problem.basis.residual_terms,
+    )
+    if found.frequency_hz is None:
+        return about.model_copy(update={"is_reached": found.is_reached})
+    if not step.shots:  # there is no step left
+        reason = f"{search.most_steps} steps are as many as were allowed, and {found.reason}"
+        return about.model_copy(update={"is_reached": False, "reason": reason})
+    frequency_hz = round(found.frequency_hz, FREQUENCY_DIGITS)
+    amplitude_mm = search.amplitude_mm
+    if found.fit is not None and found.fit.modes:
+        amplitude_mm = float(f"{_table_mm(search, found.fit, np.array([frequency_hz]))[0]:.4g}")
+    hold_s = _hold_s(search, found, frequency_hz, amplitude_mm, (sd_mm, sd_table))
+    try:
+        search.make_step(step, frequency_hz, amplitude_mm, hold_s)
+    except LimitError as exc:
+        return about.model_copy(update={"is_reached": False, "reason": f"the next step is beyond a limit: {exc}"})
+    return about.model_copy(update={"frequency_hz": frequency_hz, "amplitude_mm": amplitude_mm, "hold_s": hold_s})
+
+
+def _table_mm(search: SearchPlan, fitted: ModalFit, frequency_hz: FloatArray) -> FloatArray:
+    """(F,) amplitudes of the table at which no target is predicted to move more than was wanted."""
+    import numpy as np
+
+    from labdaemon.findings.closed_loop import largest_response
+
+    if search.largest_mm is None:
+        return np.full(len(frequency_hz), search.amplitude_mm)
+    wanted = search.largest_mm / np.maximum(largest_response(fitted, frequency_hz), 1e-9)
+    result: FloatArray = np.clip(wanted, LEAST_AMPLITUDE * search.amplitude_mm, search.amplitude_mm)
+    return result
+
+
+def _hold_s(
+    search: SearchPlan, found: SweepDecision, frequency_hz: float, amplitude_mm: float, sds: tuple[float, float]
+) -> float:
+    """How long the transient of the nearest mode must be waited for, once the step counts as settled."""
+    import numpy as np
+
+    from labdaemon.findings.closed_loop import largest_response
+    from labdaemon.findings.next_frequency import UNKNOWN_DAMPING
+    from labdaemon.findings.transient import settling_hold_s
+
+    change, (sd_mm, sd_table), fitted = search.settle.max_change_per_cycle, sds, found.fit
+    if fitted is None or not fitted.modes:
+        return round(settling_hold_s(change, search.settle.damping_ratio, frequency_hz, sd_table), 2)
+    motion_mm = amplitude_mm * float(largest_response(fitted, np.array([frequency_hz]))[0])
+    sd_relative = float(np.hypot(sd_table, sd_mm / max(motion_mm, sd_mm)))
+    at = fitted.parameters
+    nearest = int(np.argmin(np.abs(at.log_frequency - np.log(frequency_hz))))
+    factor = min(1 + 3 * float(fitted.sd_log_damping[nearest]), UNKNOWN_DAMPING)
+    damping, natural_hz = float(at.damping[nearest]), float(at.frequency_hz[nearest])
+    return round(settling_hold_s(change, damping, natural_hz, sd_relative, factor), 2)
+
+
+def _estimates(fitted: ModalFit | None, search: SearchPlan) -> tuple[ModeEstimate, ...]:
+    """The model's modes that are determined, in ascending frequency."""
+    from labdaemon.findings.find_modes import unusable_pole
+
+    if fitted is None:
+        return ()
+    at = fitted.parameters
+    found = [
+        ModeEstimate(
+            frequency_hz=float(at.frequency_hz[k]),
+            sd_frequency_hz=float(at.frequency_hz[k] * fitted.sd_log_frequency[k]),
+            damping=float(at.damping[k]),
+            sd_damping=float(at.damping[k] * fitted.sd_log_damping[k]),
+        )
+        for k in range(fitted.modes)
+        if not unusable_pole(fitted, k, search.band_hz)
+    ]
+    return tuple(sorted(found, key=lambda one: one.frequency_hz))
