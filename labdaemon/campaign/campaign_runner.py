@@ -11,7 +11,7 @@ from labdaemon.campaign.external_listener import ExternalListener
 from labdaemon.campaign.folder import CampaignFiles
 from labdaemon.campaign.lookup import has_ended, outline, state_of
 from labdaemon.campaign.measurement_queue import MeasurementQueue
-from labdaemon.campaign.mode_search import ModeSearch
+from labdaemon.campaign.mode_search import StepChooser
 from labdaemon.campaign.open_steps import group_sizes, with_decisions
 from labdaemon.campaign.reporter import CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner
@@ -44,7 +44,7 @@ class CampaignRunner:
         The campaigns' folders.
     step_runner
         Runs the steps.
-    search
+    chooser
         Decides steps that the plan leaves open.
     listener
         Keeps what an outside system fires while the campaign is paused.
@@ -61,7 +61,7 @@ class CampaignRunner:
     reporter: CampaignReporter
     files: CampaignFiles
     step_runner: RetryingStepRunner
-    search: ModeSearch
+    chooser: StepChooser
     listener: ExternalListener
     accept_changed_rig: bool
     current: CampaignRecord | None = None
@@ -114,7 +114,7 @@ class CampaignRunner:
                         return
                 case "go" if step is not None and step.is_open:
                     self.step = step
-                    decide = partial(self.search.decide, record.id, plan, step)
+                    decide = partial(self.chooser.decide, record.id, plan, step)
                     await self.step_runner.decide(record.id, step, decide, monitor)
                     self.plan = plan = self._as_decided(record.id, plan)
                     self.queue.expect_groups(record.id, group_sizes(plan))

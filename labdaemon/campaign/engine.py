@@ -20,7 +20,7 @@ from labdaemon.campaign.manual import ManualCaptures
 from labdaemon.campaign.manual_measurements import ManualMeasurements
 from labdaemon.campaign.manual_request import ManualRequest
 from labdaemon.campaign.measurement_queue import MeasurementQueue, Rows
-from labdaemon.campaign.mode_search import ModeSearch
+from labdaemon.campaign.mode_search import StepChooser
 from labdaemon.campaign.reporter import RECORD_S, CampaignReporter
 from labdaemon.campaign.retry import RetryingStepRunner, RetryPolicy
 from labdaemon.campaign.run_control import RunControl
@@ -101,7 +101,7 @@ class Engine:
             self.reporter,
             self.files,
             self.step_runner,
-            ModeSearch(context.recorder, queue),
+            StepChooser(context.recorder, queue),
             self._listener,
             policy.accept_changed_rig,
         )

@@ -33,8 +33,8 @@ LEAST_AMPLITUDE = 0.02
 log: logging.Logger = logging.getLogger(__name__)
 
 
-class ModeSearch:
-    """Searches for modes in the campaign in progress.
+class StepChooser:
+    """Chooses the open steps of the campaign in progress.
 
     Parameters
     ----------

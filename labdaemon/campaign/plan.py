@@ -225,9 +225,14 @@ class _Planner:
         for frequency_hz, amplitude_mm, frequency_key, amplitude_key in settings:
             self.check(place, frequency_hz, amplitude_mm, frequency_key, amplitude_key)
         sequence = settings + settings[-2::-1] if phase.both_directions else settings
-        for frequency_hz, amplitude_mm, _, _ in sequence:
+        # What light will know changes slowly over a search's first sweep, and takes long to predict.
+        count = len(sequence)
+        is_sampled = isinstance(phase, ResonancePhase)
+        predicted = {0, count // 2, count - 1} if is_sampled else set(range(count))
+        for number, (frequency_hz, amplitude_mm, _, _) in enumerate(sequence):
+            hold_s = hold_after_settling_s(phase, frequency_hz)
             yield from self.setting(
-                place, phase, frequency_hz, amplitude_mm, hold_s=hold_after_settling_s(phase, frequency_hz)
+                place, phase, frequency_hz, amplitude_mm, hold_s=hold_s, is_predicted=number in predicted
             )
 
     def check(

@@ -89,8 +89,9 @@ def plan(
     if any(_star(shot.cycles) == "*" for step in made.steps for shot in step.shots if shot.light is None):
         click.echo("* a part cycle: measured with the shutter's true window, which takes the excitation's phase")
     note = sentence(enable_line(rig))
+    count = sum(not step.is_open or bool(step.shots) for step in made.steps)
     click.echo(
-        f"{'at most ' if made.searches else ''}{sum(not step.is_open or bool(step.shots) for step in made.steps)} steps, "
+        f"{'at most ' if made.searches else ''}{count} steps, "
         f"{sum(len(step.shots) for step in made.steps)} captures, about "
         f"{duration(made.predicted_s)}, {made.predicted_bytes / 1e9:.2f} GB of {room / 1e9:.0f} GB free"
         + (f"; {note}" if note else "")
@@ -154,8 +155,9 @@ def table(made: Plan, limits: ShakerLimits | None) -> list[str]:
         f"{'time':>9}{'limit':>7}"
     )
     lines = [head]
-    for is_open, steps in groupby(made.steps, key=lambda step: step.is_open):
-        lines += [_open_line(list(steps))] if is_open else [_line(step, limits) for step in steps]
+    for is_open, group in groupby(made.steps, key=lambda step: step.is_open):
+        steps = list(group)
+        lines += [_open_line(steps)] if is_open else [_line(step, limits) for step in steps]
     return lines
 
 

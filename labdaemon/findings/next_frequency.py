@@ -171,9 +171,12 @@ def information_gains(fitted: ModalFit, candidates: ResponseSeries, index: Index
 
 
 def _log_information(own: FloatArray, cross: FloatArray, normal: FloatArray, index: IndexArray) -> float:
-    """Logarithm of the determinant of the information on some shared parameters, the others eliminated."""
+    """Logarithm of the determinant of the information on some shared parameters, the others eliminated.
+
+    Parameters that no observation depends on (the phase of a step that is only a candidate) are left out.
+    """
     reduced = own - np.einsum("tlm,tln->mn", cross, np.linalg.solve(normal, cross), optimize=True)
-    rest = np.setdiff1d(np.arange(len(own)), index)
+    rest = np.setdiff1d(np.flatnonzero(np.diag(own) > 0), index)
     sign, value = np.linalg.slogdet(reduced[np.ix_(index, index)])
     if rest.size:
         # log det of the Schur complement = log det of the whole − log det of the eliminated part
