@@ -237,9 +237,9 @@ def test_a_plan_follows_from_the_file_and_the_decisions(simulate):
     [
         ("band_hz = [5.0, 5.1]", "band_hz", "5 % above"),
         ("band_hz = [5.0]", "band_hz", ""),
-        ("band_hz = [5.0, 60.0]", "band_hz", "0.5 to 50 Hz"),
+        ("band_hz = [0.2, 2.0]", "band_hz", "0.5 to 50 Hz"),
         ("amplitude_mm = 0.0", "amplitude_mm", "greater than 0"),
-        ("amplitude_mm = 80.0", "amplitude_mm", "stroke"),
+        ("amplitude_mm = 80.0", "amplitude_mm", "acceleration"),
         ("most_steps = 9", "most_steps", "first sweep"),
         ("sd_frequency = 0.0", "sd_frequency", ""),
         ("sd_damping = 2", "sd_damping", ""),

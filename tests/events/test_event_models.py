@@ -37,6 +37,7 @@ AT = "2026-05-04T10:11:12.123456Z"
 LEAST: dict[str, dict[str, Any]] = {
     **{kind: {} for kind in KINDS},
     **{kind: {"step": 1} for kind in KINDS if kind.startswith("step.")},
+    "step.decided": {"step": 1, "search": 0},
     "capture.completed": {"capture": "c1"},
     "envelope": {"capture": "c1", "targets": [{"target": "T01"}]},
 }
