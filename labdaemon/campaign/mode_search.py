@@ -77,7 +77,8 @@ def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> Deci
     if series is None or not series.valid().any():
         reason = "no capture of this search has a target without a flag"
         return DecisionData(step=step.index, search=search.number, reason=reason, is_reached=False)
-    earlier = [one for one in decisions_of(journal, campaign).values() if one.search == search.number]
+    decided = decisions_of(journal, campaign).values()
+    earlier = [one for one in decided if one.search == search.number and one.step < step.index]
     return _next_step(search, step, series, earlier[-1] if earlier else None)
 
 
