@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from labdaemon.bench.kill import small_rig
+from labdaemon.bench.world import disk
 from labdaemon.bench.world import subject as module
 from labdaemon.bench.world.subject import NotInTime, Subject, wait_for
 from labdaemon.errors import LabdaemonError
+from labdaemon.service.config import load_rig
 
 IDLE = {"state": "idle", "campaign": None, "queue": 0}
 
@@ -85,3 +89,26 @@ def test_what_comes_true_is_waited_for_and_what_does_not_is_an_error() -> None:
     wait_for(lambda: next(turns))
     with pytest.raises(NotInTime, match=r"within 0\.05 s"):
         wait_for(lambda: False, 0.05)
+
+
+@pytest.mark.slow
+def test_the_rig_files_of_the_benches_are_ones_that_a_daemon_takes(tmp_path: Path) -> None:
+    """Each section changes the simulated rig's file; a slip there was found only when the section was run whole."""
+    with small_rig(1, enable_wired=False) as rig:
+        for place, make in enumerate((disk.daemon_on_any_disk, Subject)):
+            folder = tmp_path / str(place)
+            folder.mkdir()
+            interlocks = load_rig(make(rig, folder).config).interlocks
+            assert interlocks.accept_no_enable
+            assert (interlocks.min_disk_bytes == 0) is (make is disk.daemon_on_any_disk)
+
+
+def test_a_table_that_never_moves_is_reported_with_the_daemons_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = FakeSubject(tmp_path)
+    monkeypatch.setattr(daemon, "start", lambda: None)
+    monkeypatch.setattr(daemon, "submit", lambda captures: None)
+    monkeypatch.setattr(disk, "_until", lambda condition, timeout_s=0.0: False)
+    with pytest.raises(LabdaemonError, match=r"never moved; the daemon's log: one\nthe last line"):
+        disk._campaign(daemon, None, disk.locked, random.Random(1))

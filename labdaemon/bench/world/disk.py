@@ -23,12 +23,12 @@ from typing import Any
 from labdaemon.bench.kill import DaemonUnderTest, small_rig
 from labdaemon.bench.verdict import CampaignVerdict, judge
 from labdaemon.bench.world.row import WorldOptions, WorldRow
+from labdaemon.errors import LabdaemonError
 
 STEPS = 4  # enough to be in the midst of a campaign when the disk fills
 REST_S = 15.0
 """Longest that the table may move while nothing can be recorded."""
 PATIENCE_S = 120.0  # for what takes seconds on an idle machine
-INTERLOCKS = "min_disk_bytes = 0\naccept_no_enable = true\n"
 DISK_BYTES = 8 << 20  # full after a few frames of the small rig
 SMALLEST_BYTES = 4096
 """Of a file under the quota: less than any journal."""
@@ -111,11 +111,17 @@ def unread(daemon: DaemonUnderTest) -> Iterator[None]:
     os.close(pipe)
 
 
+def daemon_on_any_disk(rig: Any, folder: Path) -> DaemonUnderTest:
+    """A daemon whose interlocks ask for no free space: what a full disk does to it is tried here."""
+    daemon = DaemonUnderTest(rig, folder)
+    text = daemon.config.read_text()
+    daemon.config.write_text(text.replace("[interlocks]\n", "[interlocks]\nmin_disk_bytes = 0\n"))
+    return daemon
+
+
 def _try(trouble: Trouble, seed: int, moments: random.Random) -> DiskOutcome:
     with _folder(is_small_disk=trouble is full) as folder, small_rig(seed, enable_wired=False) as rig:
-        daemon = DaemonUnderTest(rig, folder)
-        text = daemon.config.read_text()
-        daemon.config.write_text(text.replace("[interlocks]\n", f"[interlocks]\n{INTERLOCKS}"))
+        daemon = daemon_on_any_disk(rig, folder)
         reader = None
         if trouble is unread:
             os.mkfifo(folder / "daemon.log")
@@ -135,7 +141,9 @@ def _campaign(daemon: DaemonUnderTest, rig: Any, trouble: Trouble, moments: rand
         if _until(lambda: rig.table()["moving"], 40.0):
             break
     else:
-        raise RuntimeError("the table never moved; see the daemon's log")
+        log = daemon.folder / "daemon.log"  # a pipe where no process is to read it
+        ends = log.read_text(errors="replace")[-600:] if log.is_file() else "not kept"
+        raise LabdaemonError(f"the table never moved; the daemon's log: {ends}")
     time.sleep(moments.uniform(0.0, 2.0))
     with trouble(daemon):
         began = time.monotonic()
