@@ -18,6 +18,7 @@ from labdaemon.report.html import CaptureSection, PageImage, PageSupplement, wri
 from labdaemon.report.overlay import overlay_path
 from labdaemon.report.provenance import provenance
 from labdaemon.report.resonance_section import resonance_section
+from labdaemon.report.setup_figure import setup_svg
 from labdaemon.report.state_comparison import State, state_section
 from labdaemon.tomlfile import read_toml
 
@@ -114,7 +115,13 @@ def report_folder(
         change = state_section(folder, baseline, (before, State(measured, known)))
     is_excited = any(capture.frequency_hz is not None for capture in shown)
     resonances = resonance_section(folder, results) if is_excited else None
-    write_page(page, title, heading, shown, PageSupplement(gauges, provenance(folder), resonances, flagged, change))
+    write_page(
+        page,
+        title,
+        heading,
+        shown,
+        PageSupplement(gauges, provenance(folder), resonances, flagged, change, _setup(folder, measured)),
+    )
     return page, [one.accuracy for one in shown if one.accuracy is not None]
 
 
@@ -126,6 +133,17 @@ def _line_note(folder: Path) -> str:
         return ""
     is_accepted = isinstance(interlocks, dict) and interlocks.get("accept_no_enable") is True
     return "taken with accept_no_enable: the table needed no proven enable line" if is_accepted else ""
+
+
+def _setup(folder: Path, measured: Mapping[str, Sequence[Row]]) -> str | None:
+    """Figure of the set-up; None where the survey cannot be read, as the page needs none."""
+    try:
+        control = open_folder(folder).control
+    except (ConfigError, DataError):
+        return None
+    rows = [row for of_capture in measured.values() for row in of_capture if isinstance(row["x_mm"], float)]
+    places = {str(row["target"]): [float(str(row[f"{axis}_mm"])) for axis in "xyz"] for row in rows}
+    return setup_svg(places, {point.name: (point.x_mm, point.y_mm, point.z_mm) for point in control})
 
 
 def _stands_for(folder: Path) -> dict[str, tuple[str, ...]]:

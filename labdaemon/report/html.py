@@ -100,6 +100,8 @@ class PageSupplement:
         Drawings of flagged targets.
     change
         What changed since a baseline; None without one.
+    setup
+        SVG of targets and control targets; None where the survey is not known.
     """
 
     gauges: Sequence[GaugeComparison] = ()
@@ -107,6 +109,7 @@ class PageSupplement:
     resonances: ResonanceSection | None = None
     flagged: FlaggedPatches = field(default_factory=FlaggedPatches)
     change: StateSection | None = None
+    setup: str | None = None
 
 
 def write_page(
@@ -163,6 +166,7 @@ def page(
             flagged=flagged_table(captures),
             patches=more.flagged,
             change=more.change,
+            setup=more.setup,
             provenance=more.provenance,
         )
     )
