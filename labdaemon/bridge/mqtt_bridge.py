@@ -1,7 +1,8 @@
 """Events to an MQTT broker: the last one of each kind is retained, and each is delivered once or, after a crash, again.
 
 The bridge keeps its place on the broker itself: a retained message with journal and `seq` follows each event, so a
-bridge that is started anew, on any machine, continues there.
+bridge that is started anew, on any machine, continues there. A broker that has forgotten what it retained, as one
+without persistence does when it is started again, gets the last of each kind once more.
 """
 
 from __future__ import annotations
@@ -102,6 +103,10 @@ class MqttBridge:
         self._refusal = ""
         self._most_bytes: int | None = None
         self._is_daemon_heard: bool | None = None
+        self._retained: dict[str, bytes] = {}
+        """What the broker should have retained, by topic."""
+        self._is_retained = True
+        self._order = threading.Lock()
         client = paho.Client(CallbackAPIVersion.VERSION2, f"labdaemon-{self._id}", protocol=MQTTProtocolVersion.MQTTv5)
         if settings.username is not None:
             client.username_pw_set(settings.username, settings.password)
@@ -191,7 +196,9 @@ class MqttBridge:
         """Whether the broker has acknowledged it in time. What it has not is sent by the next try."""
         if not self._is_connected.is_set():
             return False
-        info = self._client.publish(topic, payload, qos=1, retain=True)
+        with self._order:
+            self._retained[topic] = payload
+            info = self._client.publish(topic, payload, qos=1, retain=True)
         try:
             info.wait_for_publish(within_s)
             return info.is_published()
@@ -217,6 +224,11 @@ class MqttBridge:
         if not self._is_announced:
             # Comes back after what was retained: then it is known whether there was a place.
             client.publish(self._topic("bridge/owner"), self._id.encode(), qos=1, retain=True)
+        else:
+            self._is_retained = False
+            echo = self._topic(f"bridge/echo/{self._id}")
+            client.subscribe(echo, 1)
+            client.publish(echo, b"", qos=1)  # comes back after what was retained, if anything was
         self._is_connected.set()
 
     def _on_disconnect(self, client: paho.Client, _: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -228,8 +240,20 @@ class MqttBridge:
         """What was retained. Whoever may write to the broker may write here: it is looked at, not trusted."""
         if message.topic == self._topic("bridge/owner"):
             self._note_owner(bytes(message.payload))
-        elif message.retain and not self._is_announced:
-            self._place = _read_place(bytes(message.payload))
+        elif message.topic == self._topic("bridge/place") and message.retain:
+            self._is_retained = True
+            if not self._is_announced:
+                self._place = _read_place(bytes(message.payload))
+        elif message.topic.startswith(self._topic("bridge/echo/")) and not self._is_retained:
+            self._restore(client)
+
+    def _restore(self, client: paho.Client) -> None:
+        """Publish anew what a broker has forgotten."""
+        log.warning("the broker has forgotten what it retained; the last of each kind is published again")
+        self._is_retained = True
+        with self._order:
+            for topic, payload in [(self._topic("bridge/owner"), self._id.encode()), *self._retained.items()]:
+                client.publish(topic, payload, qos=1, retain=True)
 
     def _note_owner(self, owner: bytes) -> None:
         """The bridge that came last has the prefix; two would publish each event twice and move one another's place."""

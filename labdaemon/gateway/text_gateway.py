@@ -9,6 +9,7 @@ import socket
 
 from labdaemon.gateway.client_state import ClientState, GatewayContext
 from labdaemon.gateway.text_connection import ConnectionRefusal, TextConnection
+from labdaemon.stream.listener import watch_peer
 from labdaemon.stream.pace import Pace
 from labdaemon.stream.peer_log import PeerLog
 from labdaemon.stream.tcp_listener import listen_tcp
@@ -120,7 +121,7 @@ class TextGateway:
         reader = asyncio.StreamReader(limit=8192, loop=loop)
         protocol = asyncio.StreamReaderProtocol(reader, loop=loop)
         try:
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            watch_peer(peer, is_written_to=True)
             transport, _ = await loop.connect_accepted_socket(lambda: protocol, peer)
         except OSError as exc:
             peer.close()

@@ -29,11 +29,15 @@ from labdaemon.stream.unread_answers import LARGE_BYTES, UnreadAnswers
 from labdaemon.stream.zmtp import message_cost
 
 ReturnRoute = tuple[bytes, ...]
-"""Frames that an answer begins with: the client's identity, and a REQ's delimiter."""
+"""Frames that an answer begins with: the client's identity, and what a REQ or proxies have put in front."""
 
 ALWAYS = frozenset({"stop"})
 LARGE = frozenset({"events.replay", "events.latest"})
 """Commands whose answers may be megabytes."""
+MOST_FRAMES = 8
+"""Looked at of a message: identity, what a REQ and some proxies put in front, and the request."""
+LONGEST_ROUTE = 255
+"""Bytes of each of them but the request: every answer mirrors them."""
 MAX_IN_PROGRESS = 64  # each may hold a megabyte of answer
 MAX_OF_ONE = 16  # so that one client cannot take all places
 TOO_MANY = "too many commands at once; try again"
@@ -127,9 +131,9 @@ class CommandServer:
             self._gate.close()
 
     async def _receive(self, frames: list[zmq.Frame]) -> None:
-        """Read one message and start on it. Its envelope (a REQ has an empty delimiter) is mirrored."""
-        parts = [frame.bytes for frame in frames[:4]]
-        route = tuple(parts[:2] if len(parts) > 2 and not parts[1] else parts[:1])
+        """Read one message and start on it; its envelope is mirrored."""
+        parts = [frame.bytes for frame in frames[:MOST_FRAMES]]
+        route = _route(parts)
         body = parts[len(route) :]
         sender = self._gate.note_received(frames[-1]) if self._gate is not None else None
         done = partial(self._gate.note_done, message_cost(frames[1:])) if self._gate is not None else int
@@ -227,3 +231,13 @@ class CommandServer:
         if self._socket is None:
             raise RuntimeError("bind comes before run")
         return self._socket
+
+
+def _route(parts: list[bytes]) -> ReturnRoute:
+    """The frames that an answer begins with: the client's identity, and all up to an empty one where there is one.
+
+    A REQ has an empty frame before its request; one that tells late answers by a number (``REQ_CORRELATE``) has that
+    number before it, and proxies on the way put theirs in front (https://rfc.zeromq.org/spec/28).
+    """
+    end = parts.index(b"", 1, -1) + 1 if b"" in parts[1:-1] else 1
+    return tuple(parts[: end if max(map(len, parts[:end])) <= LONGEST_ROUTE else 1])

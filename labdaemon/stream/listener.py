@@ -13,6 +13,10 @@ from dataclasses import dataclass
 from labdaemon.errors import ConfigError
 
 TCP, IPC = "tcp://", "ipc://"
+KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
+"""Seconds and tries after which a computer that was switched off gives its place back; the system's are hours."""
+GONE_S = 60
+"""A computer that takes nothing of what is sent to it for so long has gone; the system tries for 15 minutes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,27 @@ class SocketFile:
 
     mode: int = 0o600
     group: str | None = None
+
+
+def watch_peer(peer: socket.socket, *, is_written_to: bool = False) -> None:
+    """Have the system end a TCP connection whose peer went without a word: switched off, or out of its network.
+
+    Parameters
+    ----------
+    is_written_to
+        Whether bytes wait for the peer most of the time, so that its silence alone never shows. Then one that is there
+        and reads nothing for `GONE_S` loses its connection as well.
+
+    Raises
+    ------
+    OSError
+        It has left already.
+    """
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in KEEPALIVE.items():
+        peer.setsockopt(socket.IPPROTO_TCP, option, value)
+    if is_written_to:
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, GONE_S * 1000)
 
 
 def listen(address: str, backlog: int, place: SocketFile | None = None) -> tuple[socket.socket, str]:

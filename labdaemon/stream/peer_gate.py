@@ -21,7 +21,7 @@ import uuid
 import zmq
 
 from labdaemon.stream.curve_door import CurveDoor, sender_of
-from labdaemon.stream.listener import SocketFile, listen, stop_listening
+from labdaemon.stream.listener import SocketFile, listen, stop_listening, watch_peer
 from labdaemon.stream.long_messages import LongMessages
 from labdaemon.stream.peer_connection import NOT_NOW, PeerConnection
 from labdaemon.stream.zmtp import LONG_BYTES, PeerLimits
@@ -35,8 +35,6 @@ LEAST_PEERS = 8  # where the system allows few descriptors, a rig's own programs
 GATES = 2  # commands and events
 DESCRIPTORS_A_PEER = 4
 """Its TCP socket, both ends of its connection to libzmq, and where keys are checked a socket that listens for it."""
-KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
-"""Seconds and tries after which a computer that was switched off gives its place back; the system's are hours."""
 HANDSHAKE_S = 5.0
 """A peer that has not said hello by then is none."""
 HELLO_S = 0.5
@@ -245,9 +243,7 @@ class PeerGate:
             peer.setblocking(False)
             if peer.family != socket.AF_UNIX:
                 peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-                for option, value in KEEPALIVE.items():
-                    peer.setsockopt(socket.IPPROTO_TCP, option, value)
+                watch_peer(peer)
         except OSError:
             peer.close()  # it has left already
             return

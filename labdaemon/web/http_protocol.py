@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from contextlib import suppress
 from typing import Any
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from labdaemon.stream.listener import watch_peer
 from labdaemon.stream.peer_log import PeerLog
 
 MOST_CONNECTIONS = 64
@@ -57,6 +59,8 @@ class BoundedHttpProtocol(H11Protocol):
         """Take a newcomer, at the cost of an idle connection where all places are taken."""
         super().connection_made(transport)
         transport.set_write_buffer_limits(high=WRITE_BYTES)
+        with suppress(OSError):  # it has left already
+            watch_peer(transport.get_extra_info("socket"), is_written_to=True)
         self._request_timer = self.loop.call_later(REQUEST_S, self._give_up, "no whole request in time")
         if len(self.connections) > MOST_CONNECTIONS and not self._make_room():
             self._give_up(f"refused: all {MOST_CONNECTIONS} places are taken")

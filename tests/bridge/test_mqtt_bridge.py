@@ -29,18 +29,18 @@ from labdaemon.testing.served import event_document
 class Broker:
     """mosquitto on a free port of loopback."""
 
-    def __init__(self, program: str, folder: Path) -> None:
+    def __init__(self, program: str, folder: Path, *, persistence: bool = True) -> None:
         self.port = free_port()
-        self._program, self._config = program, folder / "mosquitto.conf"
+        self.program, self._config = program, folder / "mosquitto.conf"
         self._config.write_text(
             f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_packet_size 20000\n"
-            f"persistence true\npersistence_location {folder}/\nuser root\n"
+            f"persistence {str(persistence).lower()}\npersistence_location {folder}/\nuser root\n"
         )
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         self._process = subprocess.Popen(
-            [self._program, "-c", str(self._config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [self.program, "-c", str(self._config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         until(self._answers)
 
@@ -174,3 +174,29 @@ def test_prefixes_that_are_none(prefix: str):
 def test_topics_have_a_level_for_each_part_of_a_kind():
     assert topic_of("a/b", "envelope") == "a/b/envelope"
     assert topic_of("a", "x.+#/.y") == "a/x//y"
+
+
+def test_a_broker_that_forgets_when_it_is_started_again_gets_the_last_of_each_kind(broker, prefix, tmp_path):
+    forgetful = Broker(broker.program, tmp_path, persistence=False)
+    forgetful.start()
+    settings = BrokerSettings(port=forgetful.port, prefix=prefix)
+    bridge = MqttBridge(settings)
+    bridge.connect()
+    bridge.run([event_document(1, "fault", message="m"), event_document(2, "envelope", capture="c", targets=[])])
+    forgetful.stop()
+    forgetful.start()
+    seen: dict[str, bytes] = {}
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+    client.on_message = lambda _, __, message: seen.update({message.topic.removeprefix(prefix + "/"): message.payload})
+    client.on_connect = lambda *_: client.subscribe(f"{prefix}/#", qos=1)
+    client.connect("127.0.0.1", forgetful.port)
+    client.loop_start()
+    until(lambda: {"fault", "envelope", "bridge/place", "bridge/owner"} <= set(seen))
+    assert [json.loads(seen[kind])["seq"] for kind in ("fault", "envelope", "bridge/place")] == [1, 2, 2]
+    client.disconnect()
+    client.loop_stop()
+    bridge.close()
+    again = MqttBridge(settings)
+    assert again.connect() == Place(2, "j")
+    again.close()
+    forgetful.stop()

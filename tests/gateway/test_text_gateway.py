@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from labdaemon.gateway import client_state, text_connection, text_gateway
-from labdaemon.stream import messages
+from labdaemon.stream import listener, messages
 from labdaemon.stream.roles import Role
 from labdaemon.testing.served import TARGETS, FakeDaemon
 
@@ -38,6 +39,15 @@ async def test_identity_help_and_errors(serve, connect):
     head = await client.reader.readexactly(2)
     size = int(await client.reader.readexactly(int(head[1:])))
     assert b"SYSTem:HELP:HEADers?/qonly/\n" in await client.reader.readexactly(size + 1)
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+async def test_a_line_ends_as_terminals_and_visa_programs_end_it(serve, connect, end: bytes):
+    client = await connect(serve())
+    for _ in range(2):
+        client.writer.write(b"*IDN?" + end)
+        assert await client.answer() == "labdaemon,sim,1,0"
+    assert await client.ask("SYST:ERR?") == '0,"No error"'
 
 
 async def test_a_trigger_carries_what_was_stated(serve, connect, daemon: FakeDaemon):
@@ -181,7 +191,7 @@ async def test_a_page_in_a_browser_cannot_post_commands(serve, connect, daemon: 
 async def test_rubbish_half_lines_and_endless_lines(serve, connect, daemon: FakeDaemon, monkeypatch):
     gateway = serve()
     client = await connect(gateway)
-    await client.send(bytes(range(256)).replace(b"\n", b""), b"\xff\xfb\x01", "x" * 5000, "*IDN?;" * 100)
+    await client.send(bytes(set(range(256)) - set(b"\r\n")), b"\xff\xfb\x01", "x" * 5000, "*IDN?;" * 100)
     numbers = [int(error) for error in (await client.ask("SYST:ERR:ALL?")).replace('"', "").split(",")[::2]]
     assert numbers == [-101, -101, -363, -223]
     client.writer.write(b"TRI")
@@ -286,3 +296,16 @@ def test_pyvisa_reads_and_triggers(serve_in_thread: Any, daemon_of_thread: Any):
             assert lab.query("SYST:ERR?") == '0,"No error"'
     finally:
         manager.close()
+
+
+async def test_a_client_that_went_without_a_word_is_watched_for(serve, connect, monkeypatch: pytest.MonkeyPatch):
+    watched: list[int] = []
+
+    def watch(peer: socket.socket, *, is_written_to: bool) -> None:
+        listener.watch_peer(peer, is_written_to=is_written_to)
+        watched.append(peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT))
+
+    monkeypatch.setattr(text_gateway, "watch_peer", watch)
+    client = await connect(serve())
+    assert "labdaemon" in await client.ask("*IDN?")
+    assert watched == [1000 * listener.GONE_S]

@@ -118,6 +118,31 @@ async def test_a_req_gets_its_delimiter_mirrored(lab: Lab) -> None:
             assert answer["result"] == {"n": number}
 
 
+async def test_a_req_that_tells_late_answers_by_a_number_is_answered(lab: Lab) -> None:
+    with zmq.asyncio.Context() as context, context.socket(zmq.REQ) as socket:
+        socket.set(zmq.REQ_CORRELATE, 1)
+        socket.set(zmq.REQ_RELAXED, 1)
+        socket.set(zmq.LINGER, 0)
+        socket.connect(lab.server.address)
+        for number in range(3):
+            assert (await ask(socket, "echo", number, n=number))["result"] == {"n": number}
+
+
+@pytest.mark.parametrize(
+    ("frames", "mirrored"),
+    [([b"proxy", b"client", b""], 3), ([b"", b""], 1), ([b"y" * 256, b""], 0), ([b"p%d" % n for n in range(9)], 0)],
+    ids=["proxies", "two empty frames", "a long frame", "many frames"],
+)
+async def test_what_proxies_put_in_front_is_mirrored(
+    dealer: zmq.asyncio.Socket, frames: list[bytes], mirrored: int
+) -> None:
+    await dealer.send_multipart([*frames, b'{"jsonrpc": "2.0", "id": 1, "method": "echo"}'])
+    async with asyncio.timeout(60):
+        *front, answer = await dealer.recv_multipart()
+    assert front == frames[:mirrored]
+    assert ("result" in json.loads(answer)) == (mirrored == len(frames))
+
+
 async def test_unknown_members_are_ignored_and_params_optional(dealer: zmq.asyncio.Socket) -> None:
     await dealer.send_json({"jsonrpc": "2.0", "id": None, "method": "echo", "from": "the future", "params": []})
     assert await receive(dealer) == {"jsonrpc": "2.0", "id": None, "result": {}}

@@ -12,7 +12,7 @@ import pytest
 
 from labdaemon.errors import ConfigError
 from labdaemon.stream.client import Client
-from labdaemon.stream.listener import SocketFile, listen, stop_listening
+from labdaemon.stream.listener import GONE_S, SocketFile, listen, stop_listening, watch_peer
 from labdaemon.stream.sockets import DoorPolicy
 from labdaemon.testing.stream_daemon import StreamDaemon
 
@@ -119,3 +119,15 @@ def test_the_inner_socket_lies_in_a_private_folder(socket_folder: Path, monkeypa
     finally:
         daemon.stop()
     assert list(socket_folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("is_written_to", [False, True])
+def test_the_system_ends_connections_of_computers_that_went_without_a_word(is_written_to: bool) -> None:
+    listener, where = listen("tcp://127.0.0.1:*", 8)
+    host, _, port = where.removeprefix("tcp://").rpartition(":")
+    with listener, socket.create_connection((host, int(port)), timeout=60), listener.accept()[0] as peer:
+        watch_peer(peer, is_written_to=is_written_to)
+        assert peer.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        asked = [peer.getsockopt(socket.IPPROTO_TCP, option) for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL)]
+        assert max(asked) <= 30
+        assert peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 1000 * GONE_S * is_written_to

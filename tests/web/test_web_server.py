@@ -6,12 +6,13 @@ import asyncio
 import base64
 import json
 import logging
+import socket
 from contextlib import suppress
 from typing import Any
 
 import pytest
 
-from labdaemon.stream import messages
+from labdaemon.stream import listener, messages
 from labdaemon.stream.roles import Role
 from labdaemon.testing.served import TARGETS, FakeDaemon
 from labdaemon.web import guard, http_protocol
@@ -469,3 +470,16 @@ def test_what_a_browser_has_seen_comes_before_its_address():
     assert first_seq({"after": "3"}, "7") == 7
     assert first_seq({"after": "3"}, "") == 3
     assert first_seq({}, None) is None
+
+
+async def test_a_client_that_went_without_a_word_is_watched_for(serve, ask, monkeypatch: pytest.MonkeyPatch):
+    """As a browser whose computer leaves the network: heartbeats alone would fill no buffer for hours."""
+    watched: list[int] = []
+
+    def watch(peer: socket.socket, *, is_written_to: bool) -> None:
+        listener.watch_peer(peer, is_written_to=is_written_to)
+        watched.append(peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT))
+
+    monkeypatch.setattr(http_protocol, "watch_peer", watch)
+    assert (await ask(serve(), "/status")).status == 200
+    assert watched == [1000 * listener.GONE_S]

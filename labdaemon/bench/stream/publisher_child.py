@@ -1,8 +1,8 @@
 """A publisher in a process of its own: the daemon's, or a bare PUB socket that sends the same bytes.
 
-``python -m labdaemon.bench.stream.publisher_child ours|bare EVENTS [KEYS]`` prints its address, sends a greeting until a
-line comes on standard input. At each line it prints what it has used, CPU seconds and megabytes, and at each line "go"
-it then sends EVENTS envelopes as fast as it can. With a folder of KEYS everything is encrypted.
+``python -m labdaemon.bench.stream.publisher_child ours|bare EVENTS [KEYS]`` prints its address and sends a greeting
+until a line comes on standard input. At each line it prints what it has used, CPU seconds and megabytes, and at each
+line "go" it then sends EVENTS envelopes as fast as it can. With a folder of KEYS everything is encrypted.
 """
 
 from __future__ import annotations
