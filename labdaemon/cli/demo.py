@@ -89,6 +89,7 @@ def demo(out: Path | None, campaign: Path | None, serve: bool, modification: str
 
 def _demo(out: Path, text: str, *, attended: bool, modification: str = "none") -> None:
     from labdaemon.cli.demo_lab import laboratory
+    from labdaemon.cli.demo_modes import mode_lines
     from labdaemon.cli.demo_results import check_same_numbers, draw_overlays, link_folder, truth_of, write_truth
     from labdaemon.report.folder_page import report_folder
     from labdaemon.report.signed_accuracy import compare_signed, signed_lines
@@ -96,8 +97,8 @@ def _demo(out: Path, text: str, *, attended: bool, modification: str = "none") -
     began = time.monotonic()
     click.echo(f"Starting the simulated rig and the daemon in {out} …")
     with laboratory(out, modification=modification) as lab:
-        folder, envelopes, coded = _run_campaign(lab, text, attended=attended)
-        records = lab.rig.truth()
+        folder, envelopes, coded, searches = _run_campaign(lab, text, attended=attended)
+        records, modes = lab.rig.truth(), lab.rig.modes()
     truth = truth_of(envelopes, records)
     rows = check_same_numbers(envelopes, folder / "results")
     link_folder(out, folder)
@@ -114,23 +115,31 @@ def _demo(out: Path, text: str, *, attended: bool, modification: str = "none") -
     ]
     for line in (*accuracy_lines(accuracies), *signed_lines(signed)):
         click.echo(line)
+    for end in searches:
+        click.echo("")
+        for line in mode_lines(end, modes):
+            click.echo(line)
     click.echo(f"\nResults  {out / 'results'}\nReport   {out / 'results' / 'index.html'}")
     click.echo(f"Took     {time.monotonic() - began:.0f} s")
 
 
-def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, list[dict[str, Any]], set[str]]:
+def _run_campaign(
+    lab: DemoLab, text: str, *, attended: bool
+) -> tuple[Path, list[dict[str, Any]], set[str], list[dict[str, Any]]]:
     """Submit it and follow it to its end.
 
     Returns
     -------
-    folder, envelopes, coded
-        Its folder, the data of its envelopes, and the names of those that were taken under coded light.
+    folder, envelopes, coded, searches
+        Its folder, the data of its envelopes, the names of those that were taken under coded light, and what ended
+        each search for modes.
     """
     from labdaemon.cli.demo_lab import DemoFailed
     from labdaemon.cli.progress import Progress
 
     envelopes: list[dict[str, Any]] = []
     coded: set[str] = set()
+    searches: list[dict[str, Any]] = []
     submitted = lab.client.call("campaign.submit", toml=text)
     with Progress() as progress:
         for event in lab.events():
@@ -140,6 +149,8 @@ def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, lis
             match event["kind"]:
                 case "envelope":
                     envelopes.append(event["data"])
+                case "step.decided" if event["data"].get("frequency_hz") is None:
+                    searches.append(event["data"])
                 case "capture.completed" if event["data"].get("light"):
                     coded.add(event["data"].get("group") or event["data"]["capture"])
                 case "campaign.completed":
@@ -150,7 +161,7 @@ def _run_campaign(lab: DemoLab, text: str, *, attended: bool) -> tuple[Path, lis
                     raise DemoFailed(f"{event['kind']}: {event['data'].get('reason') or 'the log may tell why'}")
     if not envelopes:
         raise DemoFailed("the campaign completed without a single envelope")
-    return Path(submitted["folder"]), envelopes, coded
+    return Path(submitted["folder"]), envelopes, coded, searches
 
 
 def end_on_signals() -> None:

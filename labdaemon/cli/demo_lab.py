@@ -39,6 +39,10 @@ class DemoRig(Protocol):
         """Every exposure made: ``camera``, ``opened_at``, ``exposure_s`` and ``targets`` by name."""
         ...
 
+    def modes(self) -> list[dict[str, float]]:
+        """``frequency_hz`` and ``damping`` of the structure's modes, ascending."""
+        ...
+
     def table(self) -> dict[str, Any]:
         """``moving`` and more."""
         ...

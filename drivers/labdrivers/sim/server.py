@@ -79,6 +79,13 @@ class RunningRig:
         found: list[dict[str, Any]] = self.control.ask("records")
         return found
 
+    def modes(self) -> list[dict[str, float]]:
+        """Natural frequencies and damping ratios of the simulated structure, for comparisons only."""
+        return [
+            {"frequency_hz": mode.frequency_hz, "damping": mode.damping_ratio}
+            for mode in sorted(self.spec.modes, key=lambda mode: mode.frequency_hz)
+        ]
+
     def table(self) -> dict[str, Any]:
         """Whether the table is ``moving`` now, its ``frequency_hz``, whether ``enabled``, why ``tripped``."""
         found: dict[str, Any] = self.control.ask("table")
