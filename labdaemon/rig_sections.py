@@ -243,8 +243,8 @@ class ProcessingSection(TomlSection):
     """The closed-form fit, or the published method to compare with."""
     workers: Annotated[int, Field(ge=0, le=256, strict=True)] = 0
     """Worker processes; 0 for one a core."""
-    deadline_s: Seconds = 120.0
-    """Longest that a capture may take to measure before its worker is replaced."""
+    deadline_s: Seconds = 600.0
+    """Longest that a capture may compute before its worker is replaced. Coded light takes seconds a target."""
 
 
 class InterlocksSection(TomlSection):
@@ -266,7 +266,7 @@ class InterlocksSection(TomlSection):
     min_disk_bytes: Count = 1_000_000_000
     camera_timeout_s: Seconds = 30.0
     """A camera that has not delivered its frame this long after a capture is lost."""
-    worker_stall_s: Seconds = 300.0
+    worker_stall_s: Seconds = 1800.0
     """No measurement finished for so long although some are waiting."""
 
 

@@ -42,6 +42,7 @@ from labdaemon.blur.prediction import (
     sd_of_information,
 )
 from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
+from labdaemon.blur.shared_ambient import share_ambient
 from labdaemon.blur.sharp.fit_sharp import fit_sharp, unmeasurable_target
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import make_textured_patch
@@ -100,6 +101,7 @@ __all__ = [
     "nearest_twin",
     "predict_sd",
     "sd_of_information",
+    "share_ambient",
     "solved",
     "unmeasurable_target",
     "with_relative_sd",

@@ -31,6 +31,13 @@ class LightSettings:
     """Squared standard deviations by which constant light must explain a frame better. Statistics: four sd."""
     light_mismatch_rms: float = 0.03
     """Root mean square correction, in parts of the full brightness, that counts. Trial: lamps fade and warm up."""
+    min_ambient_targets: int = 4
+    """Other targets of a frame from which their common ambient light replaces the stated one. Trial: their scatter must
+    show."""
+    least_ambient_share: float = 1e-3
+    """Information of an image on the ambient light, over the prior's, that counts. Numerics."""
+    ambient_scatter_probability: float = 0.05
+    """Probability of the targets' differences below which the ambient light differs between places. Statistics."""
     coded_minima: int = 6
     """Local minima of the phase profile that are refined where the phase shows. Trial."""
     code_axes: int = 3  # axes about which a code most resembles its mirror image, each tried as a twin; trial

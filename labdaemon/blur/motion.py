@@ -63,6 +63,26 @@ class ExposureWindow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class AmbientEstimate:
+    """What a fit under coded light says of the ambient light (`labdaemon.blur.shared_ambient`).
+
+    Attributes
+    ----------
+    correction, variance
+        Of the stated ambient light, in parts of the lamp's full brightness; the prior is in both.
+    cross_px
+        (6,) its covariance with x, y, ax, ay, bx, by.
+    prior_variance
+        Of the prior, whose mean is 0.
+    """
+
+    correction: float
+    variance: float
+    cross_px: FloatArray
+    prior_variance: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AlternativeMotion:
     """Another motion that the same image may show, such as a twin under coded light.
 
@@ -72,6 +92,8 @@ class AlternativeMotion:
         As those of a `Measurement` that is phased.
     excess
         Twice the logarithm of the odds of the measurement against it.
+    ambient
+        What it says of the ambient light, where that is a parameter.
     """
 
     centre_px: FloatArray
@@ -79,6 +101,7 @@ class AlternativeMotion:
     b_px: FloatArray
     covariance_px2: FloatArray
     excess: float
+    ambient: AmbientEstimate | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +151,8 @@ class Measurement:
         Other motions that the image does not exclude, or hardly so: cameras decide between them together.
     light_scores
         Of each frame under coded light, what it says of the code.
+    ambient
+        What it says of the ambient light under coded light, where that is a parameter and the phase shows.
     """
 
     target: str
@@ -142,6 +167,7 @@ class Measurement:
     axes: Measurement | None = None
     alternatives: tuple[AlternativeMotion, ...] = ()
     light_scores: tuple[LightScore, ...] = ()
+    ambient: AmbientEstimate | None = None
 
     @property
     def amplitude_px(self) -> float:

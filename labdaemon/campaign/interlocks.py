@@ -42,7 +42,7 @@ class InterlockLimits:
     min_disk_bytes: int = 1_000_000_000
     max_paper_edge: float | None = 0.1
     camera_timeout_s: float = 30.0
-    worker_stall_s: float = 300.0
+    worker_stall_s: float = 1800.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from labdaemon.blur import (
     average_measurements,
     failure_flags,
     find_relative_signs,
-    is_light_mismatch,
     measure_group,
     measure_mccarthy2016,
     solved,
@@ -27,6 +26,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
 from labdaemon.processing.group import holds_phase, is_part_cycle
+from labdaemon.processing.lamp_light import apply_lamp_light
 from labdaemon.processing.located import LocatedTargets, cut_patch, fit_inputs, measure_first, measure_smears
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.motion_laws import MotionLaws
@@ -277,22 +277,11 @@ def _measure_together(
         found = [
             _measure_phased(target, located_frames, phased, index, laws) for index, target in enumerate(camera.targets)
         ]
-        return _flag_light(found, sum(window.is_coded for window in phased))
+        return apply_lamp_light(found, sum(window.is_coded for window in phased))
     each = [
         _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
     ]
     return [average_measurements(measured) for measured in zip(*each, strict=True)]
-
-
-def _flag_light(measured: list[Measurement], coded_frames: int) -> list[Measurement]:
-    """The targets, flagged where all of them together say that the lamp did not play the code that was stated."""
-    scored = [one.light_scores for one in measured if len(one.light_scores) == coded_frames]
-    if not any(is_light_mismatch([scores[frame] for scores in scored]) for frame in range(coded_frames)):
-        return measured
-    return [
-        replace(one, flags=one.flags | {Flag.LIGHT_MISMATCH}) if np.isfinite(one.a_px).all() else one
-        for one in measured
-    ]
 
 
 def _measure_phased(

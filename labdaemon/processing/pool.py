@@ -12,11 +12,13 @@ import multiprocessing.forkserver
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
 from multiprocessing.queues import SimpleQueue
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from labdaemon.errors import DataError, LabdaemonError
@@ -26,6 +28,13 @@ R = TypeVar("R")
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """One core a worker: numpy, OpenCV and LibRaw each bring threads of their own, which only fight for the cores."""
+
+POLL_S = 0.5
+"""How often a running task's time is looked at."""
+
+IDLE_SHARE = 0.1
+"""Share of the time that counts for a task whose workers compute nothing: other programs may have the cores, or a disk
+may be slow. One that never computes is given up after ten times its deadline."""
 
 
 @contextlib.contextmanager
@@ -69,6 +78,38 @@ class _WorkerLost(Exception):
     """A task's worker died or outstayed its deadline; the text says which."""
 
 
+class _WorkClock:
+    """Time that a task had to work: the computing time of the busiest worker, not the time on the wall.
+
+    A machine that is busy with other programs gives workers a part of its cores only, and no task is to blame for that.
+    The clock never runs slower than the task's own worker computes, and never faster than the wall's.
+    """
+
+    def __init__(self) -> None:
+        self._at = time.monotonic()
+        self._seen: dict[int, float] = {}
+        self.elapsed_s = 0.0
+
+    def advance(self, pids: set[int]) -> None:
+        """Count the time since the last call, with the workers of now."""
+        now, seen = time.monotonic(), {pid: _computing_time_s(pid) for pid in pids}
+        wall = now - self._at
+        known = {pid: used for pid, used in seen.items() if used is not None}
+        # Without the system's record of a process all time counts.
+        computed = max((used - self._seen.get(pid, used) for pid, used in known.items()), default=wall)
+        self.elapsed_s += min(max(computed, IDLE_SHARE * wall), wall)
+        self._at, self._seen = now, known
+
+
+def _computing_time_s(pid: int) -> float | None:
+    """Processor time of a process, of all its threads; None where the system does not say."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return None
+
+
 class _Generation:
     """One set of worker processes, from its start until it breaks or is closed."""
 
@@ -77,8 +118,10 @@ class _Generation:
         context.set_forkserver_preload(["labdaemon.processing"])
         with _environment(ONE_THREAD):
             multiprocessing.forkserver.ensure_running()
-        self._pids: SimpleQueue[int] = context.SimpleQueue()
-        self.executor = ProcessPoolExecutor(workers, context, _start_worker, (self._pids,))
+        self._started: SimpleQueue[int] = context.SimpleQueue()
+        self._pids: set[int] = set()
+        self._lock = threading.Lock()
+        self.executor = ProcessPoolExecutor(workers, context, _start_worker, (self._started,))
 
     def run(self, function: Callable[P, R], deadline_s: float, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run one task to its end, its own exception, or `_WorkerLost`."""
@@ -86,20 +129,28 @@ class _Generation:
             future = self.executor.submit(function, *args, **kwargs)
         except RuntimeError as exc:  # broken or shut down by a neighbour since it was picked
             raise _WorkerLost("lost its worker process") from exc
+        clock = _WorkClock()
         try:
-            return future.result(deadline_s)
-        except TimeoutError as exc:
-            if future.done():
-                raise
-            raise _WorkerLost(f"took longer than {deadline_s:g} s") from exc
+            while not wait([future], POLL_S).done:
+                clock.advance(self._workers())
+                if clock.elapsed_s > deadline_s:
+                    raise _WorkerLost(f"took longer than {deadline_s:g} s")
+            return future.result()
         except (BrokenProcessPool, CancelledError) as exc:
             raise _WorkerLost("killed its worker process") from exc
 
+    def _workers(self) -> set[int]:
+        """Processes of the workers that have started."""
+        with self._lock:
+            while not self._started.empty():
+                self._pids.add(self._started.get())
+            return set(self._pids)
+
     def kill(self) -> None:
         """Kill every worker: the executor then fails all that is pending with `BrokenProcessPool`."""
-        while not self._pids.empty():
+        for pid in self._workers():
             with contextlib.suppress(ProcessLookupError):  # it has died already, perhaps of its memory
-                os.kill(self._pids.get(), signal.SIGKILL)
+                os.kill(pid, signal.SIGKILL)
         self.executor.shutdown(wait=False, cancel_futures=True)
 
 
@@ -111,7 +162,8 @@ class WorkerPool:
     workers
         Number of processes; 0 for one a core.
     deadline_s
-        How long a task may run once it has begun, before its workers are killed.
+        How long a task may compute once it has begun, before its workers are killed. Time in which its workers do not
+        get to compute counts by a tenth.
     """
 
     def __init__(self, workers: int = 0, *, deadline_s: float = 300.0) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import math
 import os
 import select
 import signal
@@ -16,6 +18,14 @@ import pytest
 from labdaemon.errors import DataError, LabdaemonError
 from labdaemon.processing.pool import WorkerPool
 from labdaemon.processing.tables import csv_text
+
+
+def compute(seconds: float) -> float:
+    """Use a core for so long; a worker's task."""
+    begun = time.process_time()
+    while time.process_time() - begun < seconds:
+        pass
+    return time.process_time() - begun
 
 
 def test_runs_a_function_and_passes_its_exception(pool: WorkerPool) -> None:
@@ -57,8 +67,26 @@ def test_a_worker_killed_from_outside_costs_nothing(pool: WorkerPool, tmp_path: 
 
 
 def test_a_task_that_never_ends_is_given_up() -> None:
-    with WorkerPool(1, deadline_s=3.0) as pool, pytest.raises(DataError, match="longer than 3 s twice"):
+    with WorkerPool(1, deadline_s=1.5) as pool, pytest.raises(DataError, match=r"longer than 1.5 s twice"):
+        pool.submit(compute, math.inf).result(300)
+
+
+def test_a_task_that_waits_for_ever_is_given_up_later() -> None:
+    with WorkerPool(1, deadline_s=0.1) as pool, pytest.raises(DataError, match=r"longer than 0.1 s twice"):
         pool.submit(time.sleep, 600).result(300)
+
+
+def test_time_without_a_core_is_not_held_against_a_task() -> None:
+    """A worker that is stopped for longer than its deadline, as by a busy machine, finishes its task."""
+    with WorkerPool(1, deadline_s=4.0) as pool:
+        pid = pool.submit(os.getpid).result(300)
+        task = pool.submit(compute, 0.1)
+        os.kill(pid, signal.SIGSTOP)
+        done, _ = concurrent.futures.wait([task], 5.0)
+        assert not done
+        os.kill(pid, signal.SIGCONT)
+        assert task.result(300) >= 0.1
+        assert pool.submit(os.getpid).result(300) == pid  # and no second worker had to do it
 
 
 def test_closing_ends_what_is_running() -> None:

@@ -12,11 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdaemon.blur.light_settings import LIGHT
-from labdaemon.blur.motion import AlternativeMotion
+from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
 from labdaemon.blur.smear.gls_frames import compare_solutions, gls_refine_frames
 from labdaemon.blur.solver.reduced_equations import Solution
+
+MotionVectors = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""From all parameters (k,) to x, y, ax, ay, bx, by (6,) and their derivatives (6, k)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,27 +43,27 @@ class WeighedCandidates:
 
     def report(
         self,
-        selector: FloatArray,
+        frame_set: FrameSet,
         value: FloatArray,
         covariance: FloatArray,
-        vectors: Callable[[FloatArray], FloatArray],
+        vectors: MotionVectors,
     ) -> tuple[FloatArray, tuple[AlternativeMotion, ...]]:
         """The covariance with rivals of the same valley in it, and those of other valleys.
 
         Parameters
         ----------
-        selector
-            From all parameters to mean place and motion.
+        frame_set
+            The frames that were fitted.
         value, covariance
             (6,) and (6, 6) x, y, a, b of the best and their covariance.
         vectors
-            From mean place and motion to x, y, a, b.
+            From all parameters to x, y, a, b.
         """
         alternatives = []
         total, weight = covariance.copy(), 1.0
         phasor = value[2:4] + 1j * value[4:6]
         for rival, excess in zip(self.rivals, self.excess, strict=True):
-            other = vectors(selector @ rival.p)
+            other, by_parameters = vectors(rival.p)
             turn = np.angle(np.vdot(phasor, other[2:4] + 1j * other[4:6]))
             if abs(turn) < LIGHT.same_valley_rad:
                 odds = float(np.exp(-max(excess, 0.0) / 2))
@@ -70,11 +73,9 @@ class WeighedCandidates:
             elif excess < LIGHT.rival_limit:
                 scale = float(np.linalg.norm(other[2:])) / max(float(np.linalg.norm(value[2:])), 1e-12)
                 # As well known as the best one, turned by the difference of phase.
-                alternatives.append(
-                    AlternativeMotion(
-                        other[:2], other[2:4], other[4:], _turned_covariance(covariance, turn, scale), excess
-                    )
-                )
+                turned = _turned_covariance(covariance, turn, scale)
+                ambient = ambient_estimate(frame_set, rival, rival.covariance, by_parameters)
+                alternatives.append(AlternativeMotion(other[:2], other[2:4], other[4:], turned, excess, ambient))
         return total / weight, tuple(alternatives)
 
 
@@ -102,6 +103,31 @@ def weigh_candidates(
     excess = (costs[order] - costs[order[0]]) / scale
     return WeighedCandidates(
         close[int(order[0])], refined[0], tuple(refined[1:]), tuple(float(one) for one in excess[1:])
+    )
+
+
+def ambient_estimate(
+    frame_set: FrameSet, solution: Solution, covariance: FloatArray, by_parameters: FloatArray
+) -> AmbientEstimate | None:
+    """What a solution says of the ambient light; None where that is no parameter.
+
+    Parameters
+    ----------
+    frame_set, solution
+        What was fitted.
+    covariance
+        (k, k) of all parameters.
+    by_parameters
+        (6, k) derivatives of x, y, a, b.
+    """
+    if not frame_set.ambient_count:
+        return None
+    place = frame_set.first_motion - 1
+    return AmbientEstimate(
+        float(solution.p[place]),
+        float(covariance[place, place]),
+        by_parameters @ covariance[:, place],
+        frame_set.sd_ambient**2,
     )
 
 

@@ -6,14 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur.motion import AlternativeMotion, LightScore
+from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, LightScore
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.phase.candidates import weigh_candidates
+from labdaemon.blur.phase.candidates import ambient_estimate, weigh_candidates
 from labdaemon.blur.phase.in_phase import PhaseProfile, profile_phase
 from labdaemon.blur.phase.light_check import score_light
 from labdaemon.blur.phase.orbit_phase import condition_on_phase, marginalise_orbit_phase
 from labdaemon.blur.phase.orbits import MinorAxis, estimate_minor_axis, perpendicular, solve_orbit
-from labdaemon.blur.phase.posterior import InPhaseMotion, in_phase_vectors, is_bimodal, marginalise_phase
+from labdaemon.blur.phase.posterior import (
+    InPhaseMotion,
+    in_phase_jacobian,
+    in_phase_vectors,
+    is_bimodal,
+    marginalise_phase,
+)
 from labdaemon.blur.settings import PHASE, UNCERTAINTY
 from labdaemon.blur.smear.frame_set import (
     FRAME_PARAMETERS,
@@ -56,6 +62,8 @@ class HarmonicFit:
         Other motions under coded light that the frames do not exclude.
     light_scores
         Of each frame under coded light, what it says of the code.
+    ambient
+        What it says of the ambient light under coded light, where that is a parameter and the phase shows.
     """
 
     value: FloatArray
@@ -72,6 +80,7 @@ class HarmonicFit:
     anisotropy_px2: float = 0.0
     alternatives: tuple[AlternativeMotion, ...] = ()
     light_scores: tuple[LightScore, ...] = ()
+    ambient: AmbientEstimate | None = None
 
     @property
     def at_rest(self) -> bool:
@@ -107,9 +116,9 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     best, others, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
     weighed = weigh_candidates(frame_set, [best, *others] if profile.coded else [best], window_orbit_transfer)
     best, refined = weighed.best, weighed.refined
-    covariance = windowed_covariance(refined, frame_set, window_orbit_transfer)
+    full = windowed_covariance(refined, frame_set, window_orbit_transfer)
     selector = _motion_selector(frame_set, len(best.p), 4)
-    value, covariance = selector @ refined.p, selector @ covariance @ selector.T
+    value, covariance = selector @ refined.p, selector @ full @ selector.T
     held = condition_on_phase(value, covariance)
     size, sd = _vector_length(value[2:], held[2:, 2:])
     phase_unresolved, alone = False, not frame_set.shows_phase
@@ -121,7 +130,7 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
         covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
     if profile.coded:
-        covariance, alternatives = weighed.report(selector, value, covariance, lambda p: p)
+        covariance, alternatives = weighed.report(frame_set, value, covariance, lambda p: (selector @ p, selector))
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif time_reversed is not None:
         away = selector @ (time_reversed.p - best.p)
@@ -130,7 +139,10 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     if not profile.coded:
         return found
     return replace(
-        found, alternatives=alternatives, light_scores=score_light(frame_set, best, window_orbit_transfer, moment_px2)
+        found,
+        alternatives=alternatives,
+        light_scores=score_light(frame_set, best, window_orbit_transfer, moment_px2),
+        ambient=None if phase_unresolved else ambient_estimate(frame_set, refined, full, selector),
     )
 
 
@@ -141,9 +153,9 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
     best = weighed.best
     profile = replace(profile, best=weighed.refined)
     refined = profile.best
-    covariance = windowed_covariance(refined, frame_set, window_in_phase_transfer)
+    full = windowed_covariance(refined, frame_set, window_in_phase_transfer)
     selector = _motion_selector(frame_set, len(best.p), 3)
-    linear = selector @ covariance @ selector.T
+    linear = selector @ full @ selector.T
     in_phase = marginalise_phase(profile, selector @ refined.p, linear)
     size, sd = _vector_length(in_phase.axis[2:], in_phase.axis_covariance[2:, 2:])
     minor_axis_variance_px2 = minor.mean_square(size)
@@ -151,10 +163,14 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
     covariance = in_phase.covariance + minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
     ambiguous, alternatives = is_bimodal(profile), tuple[AlternativeMotion, ...]()
+    ambient: AmbientEstimate | None = None
     if profile.coded and not in_phase.phase_unresolved:
-        covariance, alternatives = weighed.report(
-            selector, in_phase.value, covariance, lambda p: in_phase_vectors(p[None])[0]
-        )
+
+        def vectors(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return in_phase_vectors((selector @ p)[None])[0], in_phase_jacobian(selector @ p) @ selector
+
+        covariance, alternatives = weighed.report(frame_set, in_phase.value, covariance, vectors)
+        ambient = ambient_estimate(frame_set, refined, full, vectors(refined.p)[1])
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif profile.rivals:
         rival = profile.rivals[0]
@@ -177,6 +193,7 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
         ambiguous,
         alternatives=alternatives,
         light_scores=score_light(frame_set, best, window_in_phase_transfer, moment_px2) if profile.coded else (),
+        ambient=ambient,
     )
 
 

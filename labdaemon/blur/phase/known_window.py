@@ -63,6 +63,7 @@ def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
         axes,
         found.alternatives,
         found.light_scores,
+        found.ambient,
     )
 
 

@@ -51,10 +51,8 @@ def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArr
     value = in_phase_vectors(p[None])[0]
     scatter = 2 * float(probability @ (1 - np.cos(phases - p[4])))
     if profile.is_narrow or max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2:
-        c, s, v = np.cos(p[4]), np.sin(p[4]), p[2:4]
-        jacobian = np.zeros((6, 5))
-        jacobian[:, :4] = _vector_jacobian(p[4])
-        jacobian[2:, 4] = np.concatenate((-s * v, c * v))
+        v = p[2:4]
+        jacobian = in_phase_jacobian(p)
         # The circle of phases leaves its tangent by half the square of the phase's standard deviation: less than the
         # amplitude's own, or the tangents of two cameras would seem to cross at one phase.
         along = v / max(float(np.hypot(*v)), 1e-12)
@@ -72,6 +70,15 @@ def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArr
 def _weighted_scatter(probability: FloatArray, away: FloatArray) -> FloatArray:
     result: FloatArray = (probability * away.T) @ away
     return result
+
+
+def in_phase_jacobian(p: FloatArray) -> FloatArray:
+    """(6, 5) derivatives of x, y, ax, ay, bx, by by x, y, vx, vy, ψ."""
+    c, s, v = np.cos(p[4]), np.sin(p[4]), p[2:4]
+    jacobian = np.zeros((6, 5))
+    jacobian[:, :4] = _vector_jacobian(float(p[4]))
+    jacobian[2:, 4] = np.concatenate((-s * v, c * v))
+    return jacobian
 
 
 def _vector_jacobian(phase_rad: float) -> FloatArray:
