@@ -31,7 +31,7 @@ from labdaemon.flags import Flag
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
+class _FramePrior:
     """What other targets know of the correction: mean and variance."""
 
     mean: float
@@ -73,14 +73,14 @@ def _image_value(estimate: AmbientEstimate) -> float:
     return estimate.correction / (estimate.variance * _precision(estimate))
 
 
-def _combine(estimates: Sequence[AmbientEstimate]) -> _Known:
+def _combine(estimates: Sequence[AmbientEstimate]) -> _FramePrior:
     """What the targets together know of the correction at another place of the frame."""
     weight = np.array([_precision(one) for one in estimates])
     value = np.array([_image_value(one) for one in estimates])
     scatter = _scatter_between(value, weight)
     weight = 1 / (1 / weight + scatter)
     total = 1 / estimates[0].prior_variance + float(weight.sum())
-    return _Known(float(weight @ value) / total, scatter + 1 / total)
+    return _FramePrior(float(weight @ value) / total, scatter + 1 / total)
 
 
 def _scatter_between(value: FloatArray, weight: FloatArray) -> float:
@@ -92,7 +92,7 @@ def _scatter_between(value: FloatArray, weight: FloatArray) -> float:
     return (squares - freedom) / float(weight.sum() - weight @ weight / weight.sum())
 
 
-def _with_known(one: Measurement, known: _Known) -> Measurement:
+def _with_known(one: Measurement, known: _FramePrior) -> Measurement:
     """One target, its candidates weighed anew by the frame's ambient light."""
     own = AlternativeMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2, 0.0, one.ambient)
     weighed = sorted((_updated(candidate, known) for candidate in (own, *one.alternatives)), key=lambda c: c.excess)
@@ -114,7 +114,7 @@ def _with_known(one: Measurement, known: _Known) -> Measurement:
     )
 
 
-def _updated(candidate: AlternativeMotion, known: _Known) -> AlternativeMotion:
+def _updated(candidate: AlternativeMotion, known: _FramePrior) -> AlternativeMotion:
     """A candidate under the ambient light that other targets know."""
     estimate = candidate.ambient
     if estimate is None:

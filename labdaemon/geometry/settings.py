@@ -89,6 +89,10 @@ class IntersectionSettings:
     """Angle between two signed motions from which they are two. Trial: nearer ones are in the covariance."""
     in_phase_ratio: float = 0.02
     """Ratio of the axes up to which a structure's motion counts as in phase. Trial: damping of a few per cent."""
+    in_phase_steps: int = 8
+    """Most steps to a motion in phase. Numerics: three do where the cameras know the phase."""
+    in_phase_step_mm: float = 1e-5
+    """Step that is the last one. Numerics."""
     orbit_share: float = 0.2
     """Prior share of motions that are orbits of any ratio. Trial."""
     phase_spread_rad: float = 0.05

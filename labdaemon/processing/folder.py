@@ -25,7 +25,7 @@ from labdaemon.processing.survey import SurveyedPoint, TargetPlace, read_control
 NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
 SAME_FREQUENCY = 1e-3
 """Relative difference up to which two stated frequencies are one: a generator's setting and a gauge's reading of it."""
-AMBIENT_SD = (0.005, 0.001)
+AMBIENT_SD = (0.02, 0.002)
 """Standard deviation of ambient light that is stated without one: relative to it, and in parts of the lamp's light."""
 TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
 
@@ -59,7 +59,7 @@ class CaptureFile(BaseModel):
     """Light that is on whenever the shutter is open, in parts of the lamp's full brightness."""
     sd_light_phase_rad: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     sd_ambient: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    """Standard deviation of `ambient`: a prior, the frame shows it too. None for 0.5 % of it and 0.001."""
+    """Standard deviation of `ambient`: a prior, the frame shows it too. None for 2 % of it and 0.002."""
     light_rise_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Time that the lamp takes from dark to full brightness."""
     cameras: dict[str, CameraOpening] = {}

@@ -12,7 +12,7 @@ from labdaemon.geometry import ImageMotion, ObjectMotion, intersect_motion, inte
 from labdaemon.geometry.common_phase import compare_phases, phase_of
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion_candidates import phased_candidate
-from labdaemon.geometry.signed_candidates import orbit_penalty, signed_candidates
+from labdaemon.geometry.signed_candidates import orbit_penalty, signed_candidates, with_phase_prior
 
 TWO = [(-500, -1000, 300), (500, -1000, 500)]
 LEVEL = [(-500, -1000, 370), (500, -1000, 370)]
@@ -100,6 +100,57 @@ def test_the_prior_prefers_lines_and_does_not_forbid_orbits(look) -> None:
     assert penalties[0] < 0.5
     assert np.all(np.diff(penalties) > -1e-6)
     assert 5.0 < penalties[-1] < 12.0
+
+
+def noisy_image(camera, a, b, sd_phase: float, rng) -> ImageMotion:
+    """A camera's image of a motion in phase, of which it knows the phase within `sd_phase`."""
+    numbers = project_motion(camera.project_with_jacobians, np.stack([MEAN, a, b]))[0]
+    later = np.concatenate((np.zeros(2), -numbers[4:], numbers[2:4]))
+    noise = np.eye(6) * SD_PX**2 + sd_phase**2 * np.outer(later, later)
+    return ImageMotion(*np.split(numbers + rng.multivariate_normal(np.zeros(6), noise), [2, 4]), noise, True)
+
+
+def test_level_motion_takes_its_phase_from_the_camera_that_knows_it(look) -> None:
+    """One camera looks along the path, and knows little of the phase: rays alone make an orbit of that."""
+    cameras = [look(place) for place in LEVEL]
+    rng = np.random.default_rng(3)
+    free_errors, errors, squares = [], [], []
+    for phase in np.linspace(0.0, 3.0, 40):
+        path = np.array([1.0, -1.3, 0.0])
+        a, b = path * np.cos(phase), path * np.sin(phase)
+        seen = [noisy_image(cameras[0], a, b, 0.004, rng), noisy_image(cameras[1], a, b, 0.15, rng)]
+        free = phased_candidate(cameras, np.zeros((12, 12)), seen)
+        joined = intersect_motion(cameras, seen).motion
+        away = np.concatenate((joined.a_mm - a, joined.b_mm - b))
+        free_errors.append(np.linalg.norm(free.motion_mm[1:] - np.stack((a, b))))
+        errors.append(np.linalg.norm(away))
+        squares.append(away @ np.linalg.pinv(joined.covariance_mm2[3:, 3:], hermitian=True) @ away / 6)
+    assert np.percentile(errors, 95) < 0.5 * np.percentile(free_errors, 95)
+    assert 0.4 < np.mean(squares) < 1.4
+
+
+@pytest.mark.parametrize("places", [TWO, LEVEL])
+def test_an_orbit_that_the_rays_show_stays_an_orbit(look, places) -> None:
+    cameras = [look(place) for place in places]
+    a, b = np.array([-2.0, 0.4, 0.3]), np.array([0.1, 0.2, 0.9])
+    seen = [noisy_image(camera, a, b, 0.003, np.random.default_rng(5)) for camera in cameras]
+    free = phased_candidate(cameras, np.zeros((12, 12)), seen)
+    np.testing.assert_allclose(with_phase_prior(free).motion_mm, free.motion_mm, atol=1e-3)
+
+
+def test_a_small_minor_axis_stays_within_its_standard_deviation(look) -> None:
+    """A complex mode of a lightly damped structure: the prior leans towards a line, and says by how much."""
+    cameras = [look(place) for place in LEVEL]
+    rng = np.random.default_rng(8)
+    squares = []
+    for _ in range(30):
+        minor = 0.02 * 1.6 * rng.normal()
+        a, b = np.array([1.0, -1.3, 0.0]), minor * np.array([1.3, 1.0, 0.0]) / 1.64
+        seen = [noisy_image(camera, a, b, 0.03, rng) for camera in cameras]
+        joined = intersect_motion(cameras, seen).motion
+        away = np.concatenate((joined.a_mm - a, joined.b_mm - b))
+        squares.append(away @ np.linalg.pinv(joined.covariance_mm2[3:, 3:], hermitian=True) @ away / 6)
+    assert 0.4 < np.mean(squares) < 1.5
 
 
 def test_combinations_are_sorted_by_all_that_speaks_against_them(look) -> None:

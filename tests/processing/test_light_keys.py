@@ -17,7 +17,7 @@ def test_ambient_light_has_a_standard_deviation_of_its_own_or_a_default() -> Non
     assert default is not None
     assert stated is not None
     assert exact is not None
-    assert default.sd_ambient == pytest.approx(0.0035)
+    assert default.sd_ambient == pytest.approx(0.012)
     assert stated.sd_ambient == 0.2
     assert exact.sd_ambient == 0.0
 

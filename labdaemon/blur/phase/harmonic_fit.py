@@ -166,11 +166,11 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
     ambient: AmbientEstimate | None = None
     if profile.coded and not in_phase.phase_unresolved:
 
-        def vectors(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def signed(p: FloatArray) -> tuple[FloatArray, FloatArray]:
             return in_phase_vectors((selector @ p)[None])[0], in_phase_jacobian(selector @ p) @ selector
 
-        covariance, alternatives = weighed.report(frame_set, in_phase.value, covariance, vectors)
-        ambient = ambient_estimate(frame_set, refined, full, vectors(refined.p)[1])
+        covariance, alternatives = weighed.report(frame_set, in_phase.value, covariance, signed)
+        ambient = ambient_estimate(frame_set, refined, full, signed(refined.p)[1])
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif profile.rivals:
         rival = profile.rivals[0]
