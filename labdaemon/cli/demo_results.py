@@ -94,11 +94,13 @@ def check_same_numbers(received: Sequence[Mapping[str, Any]], results: Path) -> 
 def draw_overlays(folder: Path, results: Path) -> None:
     """One image a capture and camera: the vectors on the photograph."""
     rows: dict[tuple[str, str], list[Row]] = {}
+    of_capture: dict[str, list[Row]] = {}
     for row in read_csv(results / "measurements.csv"):
         rows.setdefault((str(row["capture"]), str(row["camera"])), []).append(row)
+        of_capture.setdefault(str(row["capture"]), []).append(row)
     lengths = {
-        capture: {str(row["target"]): size for row in of_capture if (size := size_mm(row)) is not None}
-        for capture, of_capture in envelopes(results).items()
+        capture: {str(row["target"]): size for row in found if (size := size_mm(row)) is not None}
+        for capture, found in envelopes(results).items()
     }
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         tasks = [
@@ -109,6 +111,7 @@ def draw_overlays(folder: Path, results: Path) -> None:
                 overlay_path(results, capture, camera),
                 f"{capture}  {camera}",
                 lengths.get(capture),
+                of_capture[capture],
             )
             for (capture, camera), of_camera in rows.items()
             for frame in sorted((folder / "captures" / capture).glob(f"{camera}.*"))[:1]

@@ -17,7 +17,7 @@ from labdaemon.errors import LabdaemonError
 from labdaemon.imaging import read_frame
 from labdaemon.orbit_size import size_mm
 from labdaemon.processing import Row, read_csv
-from labdaemon.report.overlay import draw_overlay
+from labdaemon.report.overlay import draw_overlay, readable_magnification
 
 WIDTH_PX = 900
 QUALITY = 78
@@ -51,7 +51,9 @@ def frame_view(frame: Path, camera: str, capture: str, results: Path | None) -> 
     sizes = _rows(results, "envelope.csv", capture) if results is not None else []
     lengths = {str(row["target"]): size for row in sizes if (size := size_mm(row)) is not None}
     mine = [row for row in rows if row["camera"] == camera]
-    image = draw_overlay(read_frame(frame).grey(), mine, title=f"{capture}  {camera}", lengths_mm=lengths or None)
+    grey = read_frame(frame).grey()
+    factor = readable_magnification(rows, max(grey.shape))  # one for all cameras
+    image = draw_overlay(grey, mine, title=f"{capture}  {camera}", lengths_mm=lengths or None, magnify=factor)
     height, width = image.shape[:2]
     if width > WIDTH_PX:
         image = np.asarray(

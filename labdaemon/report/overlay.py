@@ -104,16 +104,32 @@ def readable_magnification(rows: Sequence[Row], longest_px: float) -> float:
 
 
 def write_overlay(
-    frame: Path, rows: Sequence[Row], out: Path, title: str, lengths_mm: Mapping[str, float] | None = None
+    frame: Path,
+    rows: Sequence[Row],
+    out: Path,
+    title: str,
+    lengths_mm: Mapping[str, float] | None = None,
+    capture_rows: Sequence[Row] | None = None,
 ) -> None:
     """Draw a frame's measurements and write the image as PNG; one task for a worker.
+
+    Parameters
+    ----------
+    frame, out
+        The frame, and the image.
+    rows, title, lengths_mm
+        As for `draw_overlay`.
+    capture_rows
+        Rows of all cameras of the capture, which then have one magnification; `rows` if None.
 
     Raises
     ------
     DataError
         The frame cannot be read or the image not written.
     """
-    image = draw_overlay(read_frame(frame).grey(), rows, title=title, lengths_mm=lengths_mm)
+    grey = read_frame(frame).grey()
+    factor = readable_magnification(rows if capture_rows is None else capture_rows, max(grey.shape))
+    image = draw_overlay(grey, rows, title=title, lengths_mm=lengths_mm, magnify=factor)
     ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 4])
     if ok:
         write_durably(out, data.tobytes())
@@ -143,7 +159,7 @@ def write_overlays(folder: Path, result: FolderResult, submit: Callable[..., Fut
             rows = [row for row in capture.measurement_rows if row["camera"] == camera]
             title = f"{capture.name}  {camera}"
             out = overlay_path(result.out, capture.name, camera)
-            tasks.append(submit(write_overlay, folder / frame, rows, out, title, lengths))
+            tasks.append(submit(write_overlay, folder / frame, rows, out, title, lengths, capture.measurement_rows))
     return tasks
 
 

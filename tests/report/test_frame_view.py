@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labdaemon.errors import DataError
-from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, write_csv
+from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, read_csv, write_csv
 from labdaemon.report.frame_view import WIDTH_PX, frame_view
 from labdaemon.report.overlay import CLEAN
 
@@ -42,6 +42,13 @@ def test_the_vectors_of_this_capture_and_camera_are_drawn(results: Path) -> None
     found = vectors(frame_view(results / "left.png", "left", "c1", results))
     assert len(found) > 50
     assert np.abs(found[:, 1] - 450 * 0.75).max() < 12, "no other capture's, no other camera's"
+
+
+def test_all_cameras_of_a_capture_have_one_magnification(results: Path) -> None:
+    rows = list(read_csv(results / "measurements.csv"))
+    write_csv(results / "measurements.csv", MEASUREMENT_COLUMNS, [rows[0], rows[1] | {"ax_px": 80.0}])
+    found = vectors(frame_view(results / "left.png", "left", "c1", results))
+    assert np.ptp(found[:, 0]) < 0.75 * 2 * 8.0 * 2, "as small as the other camera's larger motion asks for"
 
 
 def test_what_is_not_measured_has_none(results: Path) -> None:
