@@ -1,7 +1,7 @@
-"""Exposures of part cycles: of unknown length, and of known length and phase, on single dots with paper texture.
+"""Part cycles of unknown and of known length, and third harmonics without a gauge, on single dots with paper texture.
 
 Every trial renders dots of 8 mm that move straight with phases of their own (``labdaemon.bench.dots``), and measures
-them as whole cycles, through the exposure that the frame's dots show together, or through the known one.
+them as a sinusoid over whole cycles, and by the waveform that the frame's dots show together or through known windows.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from labdaemon.blur import (
     ExposureWindow,
     FloatArray,
     Measurement,
+    Patch,
     SharpTarget,
     estimate_waveform,
     measure_frame,
@@ -30,6 +31,7 @@ from labdaemon.flags import Flag
 
 CYCLES = (2.3, 2.5, 3.4, 5.37, 5.5, 7.2, 9.5, 13.7, 19.6, 5.0)
 UNKNOWN_MM = (0.3, 0.4, 0.55, 0.75, 1.0, 1.4, 1.9, 2.5)
+PHASES_DEG = (0.0, 60.0, 90.0, 120.0, 180.0)
 KNOWN_MM = (0.3, 0.6, 0.8, 1.5, 3.0, 6.0, 12.0)
 TEXTURE = 0.004
 DEFOCUS = Defocus(0.0, 0.02)
@@ -37,16 +39,16 @@ DEFOCUS = Defocus(0.0, 0.02)
 
 @dataclass(frozen=True, slots=True)
 class UnknownTrials:
-    """Frames of one exposure whose length is not told.
+    """Frames whose waveform nothing states.
 
     Attributes
     ----------
     cycles
         True cycles.
     found
-        Estimated cycles of each frame, NaN where whole cycles were not excluded.
+        Estimated cycles of each frame, NaN where whole cycles were not excluded; of harmonics, their mean estimate.
     whole, estimated
-        Relative errors of the amplitudes as whole cycles, and through the estimate.
+        Relative errors of the amplitudes as a sinusoid over whole cycles, and by the estimate.
     pulls
         Errors of the latter over their standard deviations.
     """
@@ -59,9 +61,9 @@ class UnknownTrials:
 
 
 def run_unknown(
-    cycles: float, frames: int, seed: int = 1, amplitudes_mm: Sequence[float] = UNKNOWN_MM
+    cycles: float, frames: int, seed: int = 1, amplitudes_mm: Sequence[float] = UNKNOWN_MM, *, third: complex = 0.0
 ) -> UnknownTrials:
-    """Measure frames of one exposure whose cycles nobody states.
+    """Measure frames of one exposure whose cycles nothing states, of motion with an unknown third harmonic.
 
     Raises
     ------
@@ -74,11 +76,11 @@ def run_unknown(
     found, whole, estimated, pulls = [], [], [], []
     for _ in range(frames):
         patches = [
-            bench.blurred(amplitude, index, cycles, bench.angle(), direction_rad=bench.angle())
+            bench.blurred(amplitude, index, cycles, bench.angle(), direction_rad=bench.angle(), third=third)
             for index, amplitude in enumerate(amplitudes_mm)
         ]
         first, last, estimate = measure_unknown(sharps, patches)
-        found.append(np.nan if estimate is None else estimate)
+        found.append(estimate)
         whole.append([one.amplitude_px for one in first] / size_px - 1)
         sizes = np.array([one.amplitude_px for one in last])
         estimated.append(sizes / size_px - 1)
@@ -89,17 +91,21 @@ def run_unknown(
 
 
 def measure_unknown(
-    sharps: Sequence[SharpTarget], patches: Sequence[object]
-) -> tuple[list[Measurement], list[Measurement], float | None]:
-    """A frame as whole cycles, and through the exposure that its targets show; its cycles, None where whole."""
-    first = measure_frame(sharps, patches, defocus=DEFOCUS)  # type: ignore[arg-type]
-    shared = estimate_waveform(sharps, patches, first, defocus=DEFOCUS)  # type: ignore[arg-type]
-    last = first
+    sharps: Sequence[SharpTarget], patches: Sequence[Patch]
+) -> tuple[list[Measurement], list[Measurement], float]:
+    """A frame as a sinusoid over whole cycles, and by the waveform that its targets show; its cycles or harmonic."""
+    first = measure_frame(sharps, patches, defocus=DEFOCUS)
+    shared = estimate_waveform(sharps, patches, first, defocus=DEFOCUS)
+    last, estimate = first, np.nan
     if shared.window is not None:
-        window = replace(shared.window, phase_rad=0.0)
-        last = measure_frame(sharps, patches, window=window, defocus=DEFOCUS)  # type: ignore[arg-type]
-    cycles = None if shared.window is None else shared.window.cycles
-    return first, [with_relative_sd(one, shared.relative_sd) for one in last], cycles
+        last = measure_frame(sharps, patches, window=replace(shared.window, phase_rad=0.0), defocus=DEFOCUS)
+        estimate = shared.window.cycles
+    elif shared.harmonic is not None:
+        last = measure_frame(
+            sharps, patches, defocus=DEFOCUS, harmonics=[shared.harmonic.of(one.name) for one in sharps]
+        )
+        estimate = shared.harmonic.mean
+    return first, [with_relative_sd(one, shared.relative_sd) for one in last], estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,30 +164,41 @@ def _dot_image(bench: DotBench) -> DotImage:
     return DotImage(4.0 * PX_PER_MM, bench.lens_sigma_px, bench.white_dn, 0.05, bench.noise)
 
 
+def _cells(trials: UnknownTrials, nothing: str) -> str:
+    """One line of errors."""
+    parts = [
+        f"{errors.mean():19.2%} {_rms(errors):7.2%} {np.abs(errors).max():8.2%}"
+        for errors in (trials.whole, trials.estimated)
+    ]
+    found = ", ".join(nothing if np.isnan(value) else f"{value:.3f}" for value in trials.found)
+    return f"{parts[0]}{parts[1][3:]}   {_rms(trials.pulls):5.2f}   {found}"
+
+
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 @click.command("windows")
-@click.option("--section", type=click.Choice(["all", "unknown", "known"]), default="all", show_default=True)
-@click.option("--frames", default=3, show_default=True, help="Frames of eight dots for each unknown exposure.")
+@click.option("--section", type=click.Choice(["all", "unknown", "harmonic", "known"]), default="all", show_default=True)
+@click.option("--frames", default=3, show_default=True, help="Frames of eight dots for each unknown waveform.")
 @click.option("--dots", default=12, show_default=True, help="Dots of each amplitude through known windows.")
 @click.option("--cycles", default=5.5, show_default=True, help="Of the known windows.")
 @click.option("--texture", default=0.008, show_default=True, help="Relative paper texture seen through known windows.")
 @click.option("--seed", default=1, show_default=True)
 def command(section: str, frames: int, dots: int, cycles: float, texture: float, seed: int) -> None:
     """Part cycles: of unknown length, and signed vectors through known windows, next to the Cramér–Rao bound."""
+    head = "as a sinusoid: mean     rms  largest   estimated: mean     rms  largest   pulls   "
     if section in ("all", "unknown"):
         click.echo("Exposure unknown: relative error of amplitudes of 0.3 to 2.5 mm, every dot with its own phase")
-        click.echo("cycles   as whole: mean     rms  largest   estimated: mean     rms  largest   pulls   cycles found")
+        click.echo(f"cycles   {head}cycles found")
         for one in CYCLES:
-            trials = run_unknown(one, frames, seed)
-            cells = "   ".join(
-                f"{errors.mean():14.2%} {_rms(errors):7.2%} {np.abs(errors).max():8.2%}"
-                for errors in (trials.whole, trials.estimated)
-            )
-            found = ", ".join("whole" if np.isnan(value) else f"{value:.2f}" for value in trials.found)
-            click.echo(f"{one:6.2f}   {cells}   {_rms(trials.pulls):5.2f}   {found}")
+            click.echo(f"{one:6.2f}   {_cells(run_unknown(one, frames, seed), 'whole')}")
+    if section in ("all", "harmonic"):
+        click.echo("5 % of the third harmonic, no gauge, whole cycles; by its phase")
+        click.echo(f"phase °  {head}in-phase part found")
+        for degrees in PHASES_DEG:
+            third = 0.05 * complex(np.exp(1j * np.radians(degrees)))
+            click.echo(f"{degrees:6.0f}   {_cells(run_unknown(5.0, frames, seed, third=third), 'none')}")
     if section in ("all", "known"):
         click.echo(f"Windows known: {cycles:g} cycles twice, a quarter of a cycle apart, texture {texture:.1%}")
         click.echo("amplitude mm   dots   flagged   error rms µm   over the bound   95 % µm   pulls")

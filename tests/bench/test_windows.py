@@ -25,6 +25,12 @@ def test_an_unknown_exposure_is_found_and_its_bias_goes() -> None:
     assert trials.estimated.shape == trials.whole.shape == trials.pulls.shape == (2,)
 
 
+def test_a_harmonic_without_a_gauge_loses_its_bias() -> None:
+    trials = run_unknown(5.0, 1, seed=3, amplitudes_mm=(1.0, 1.6), third=0.05)
+    assert trials.found[0] == pytest.approx(0.05, abs=0.01)
+    assert np.abs(trials.whole).max() > 3e-3 > np.abs(trials.estimated).max()
+
+
 def test_signed_vectors_through_known_windows_are_near_the_bound() -> None:
     known = run_known(0.8, 5.5, 1, 0.004, seed=2)
     assert known.flagged == 0
@@ -36,8 +42,8 @@ def test_signed_vectors_through_known_windows_are_near_the_bound() -> None:
 
 def test_the_command_prints_a_line_for_each_case(monkeypatch: pytest.MonkeyPatch) -> None:
     one, nothing = np.array([0.01]), np.array([np.nan])
-    monkeypatch.setattr(windows, "run_unknown", lambda cycles, *_: UnknownTrials(cycles, nothing, one, one, one))
+    monkeypatch.setattr(windows, "run_unknown", lambda cycles, *_, **__: UnknownTrials(cycles, nothing, one, one, one))
     monkeypatch.setattr(windows, "run_known", lambda size, *_: KnownTrials(size, one, one, one, 0))
     lines = CliRunner().invoke(windows.command, catch_exceptions=False).output.splitlines()
-    assert len(lines) == 4 + len(windows.CYCLES) + len(windows.KNOWN_MM)
+    assert len(lines) == 6 + len(windows.CYCLES) + len(windows.PHASES_DEG) + len(windows.KNOWN_MM)
     assert "whole" in lines[2]

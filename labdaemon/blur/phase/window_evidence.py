@@ -14,17 +14,24 @@ from labdaemon.blur.phase.waveform_series import ORDERS, series_transfer
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.defocus import default_defocus
+from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import TransferFunction, prepare_fit
-from labdaemon.blur.smear.frame_set import FrameSet, window_fixed_phase_transfer
+from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.smear.gls_frames import frame_products
 from labdaemon.blur.solver.reduced_equations import Prior, Solution
 from labdaemon.blur.solver.solve import solve
+from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.unsolvable import solved
 from labdaemon.flags import Flag
 from labdaemon.least_squares import scaled_inverse
 
 TARGETS = 6
-"""Targets that are asked; more cost time, and hardly say more."""
+"""Targets that are asked where the first ones show something; more cost time, and hardly say more."""
+FIRST_TARGETS = 2
+"""Targets that are asked of every frame: they hold most of the evidence, and one takes as long as two are measured."""
+SIGN = 12.0
+"""Squared standard deviations, beyond the expectation, by which any waveform must explain a target better for others to
+be asked. Statistics: noise reaches it in one target of a hundred."""
 BEST_PX = 7.0
 """Semi-amplitude that says most for its cost: shorter paths are blurred by the lens, longer ones by the paper."""
 LEAST_PX, LARGEST_PX = 1.0, 16.0
@@ -89,9 +96,8 @@ def waveform_evidence(
     blur = defocus if defocus is not None else default_defocus(sharp)
     there = sharp.with_scale_uncertainty(problem.initial_centre_px)
     frame_set = FrameSet.from_problems(there, [problem], [ExposureWindow(1.0, 1.0, 0.0)], [blur])
-    factory = window_fixed_phase_transfer(0.0)
-    start = np.concatenate((found.centre_px, [blur.mean_px2], np.zeros(frame_set.shape_count), found.a_px))
-    model, prior = frame_set.forward_model(factory, 3.0 + 1.3 * float(np.hypot(*found.a_px))), frame_set.prior(2)
+    start = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(frame_set.shape_count), found.a_px))
+    model, prior = fast_forward_model(problem, closed_form.straight_transfer), frame_set.prior(2)
     solution = solve(frame_set.planes, frame_set.weights, model, start, prior)
     return WaveformEvidence(frame_set, solution, *_series_equations(frame_set, solution, prior))
 
@@ -124,8 +130,20 @@ def collect_evidence(
     """What the targets with long straight paths say; parameters as for `estimate_window`."""
     chosen = [index for index, one in enumerate(measured) if _says_something(one)]
     chosen.sort(key=lambda index: abs(math.log(measured[index].amplitude_px / BEST_PX)))
-    each = [waveform_evidence(sharps[i], patches[i], measured[i], defocus) for i in chosen[:TARGETS]]
-    return [one for one in each if one is not None]
+    found: list[WaveformEvidence] = []
+    for place, index in enumerate(chosen[:TARGETS]):
+        if place == FIRST_TARGETS and not any(_shows_waveform(one) for one in found):
+            break
+        one = waveform_evidence(sharps[index], patches[index], measured[index], defocus)
+        if one is not None:
+            found.append(one)
+    return found
+
+
+def _shows_waveform(one: WaveformEvidence) -> bool:
+    """Whether any exposure or harmonic explains a target better than noise does: all coefficients free."""
+    gain = float(one.score @ scaled_inverse(one.information) @ one.score) / one.scale
+    return gain > len(one.score) + SIGN
 
 
 def _says_something(one: Measurement) -> bool:
