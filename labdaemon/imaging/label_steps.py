@@ -29,6 +29,8 @@ OPEN_STEP, OPEN_RUN = 0.1, 7
 """Step that counts where so many neighbouring rays have it (35°): the end of a wide sheet. Trial."""
 PASSED = 2.0
 """Distance, over that of the neighbouring rays, from which a ray with a nearer step has missed the end. Trial."""
+NARROW_PX = 2.0
+"""Steps so close to the first place that can have one may belong to the end of a narrow rim."""
 NOISES = 7.0
 """Steps are larger than so many standard deviations of the differences on plain paper. Statistics."""
 SHARPNESS = 0.6
@@ -69,6 +71,7 @@ def first_steps(grey: Grey, dot: Ellipse, ink: float, directions: FloatArray, li
     size = np.where(before & sharp, np.abs(steps), 0.0)
     noise = 1.48 * float(np.min(np.median(np.abs(steps), axis=0)))  # at the distance where there is paper all around
     closed = _first(size, places, max(CLOSED_STEP * contrast, NOISES * noise))
+    closed = _within_narrow_rims(closed, values, distances)
     if float(np.mean(seen)) >= CLOSED_SHARE:
         # A label that ends all around has folds, which are no ends.
         rim = passed & (closed < PASSED * _lower_neighbours(limits))
@@ -122,6 +125,25 @@ def _first(size: FloatArray, places: FloatArray, least: float) -> FloatArray:
     """(n,) the first place along each ray where a step reaches `least`; infinite where none does."""
     large = size > least
     return np.where(large.any(axis=1), places[np.argmax(large, axis=1)], np.inf)
+
+
+def _within_narrow_rims(ends: FloatArray, values: FloatArray, distances: FloatArray) -> FloatArray:
+    """Ends nearer to the dot than the pieces of a step are long: where half of the change lies, before the step found.
+
+    A rim of 4 px is shorter than gap and piece together, so that its end shows as a step at the first place there is.
+    Towards a lighter ground the brightness rises all the way from the ink, and nothing shows where the rim ends: it
+    counts as ending where the dot's own blur does.
+    """
+    first = distances[0] + GAP_PX + PIECE_PX
+    result = ends.copy()
+    for ray in np.flatnonzero(ends < first + NARROW_PX):
+        line = values[ray]
+        behind = (distances > ends[ray] + GAP_PX) & (distances <= ends[ray] + GAP_PX + PIECE_PX)
+        ground, lightest = float(line[behind].mean()), int(np.argmax(line[distances <= ends[ray]]))
+        below = np.flatnonzero(line[lightest:] < (line[lightest] + ground) / 2)
+        darker = ground < line[lightest] and below.size
+        result[ray] = min(ends[ray], distances[lightest + below[0]] if darker else distances[0])
+    return result
 
 
 def _bridge(ends: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
