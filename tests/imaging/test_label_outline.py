@@ -43,9 +43,12 @@ def test_each_side_has_its_own_distance(canvas: Any, ground: float) -> None:
     assert ends[[0, 18, 36, 54]] == pytest.approx([30, 22, 18, 40], abs=2.0)
 
 
-def test_a_narrow_rim_is_an_end(canvas: Any) -> None:
-    (dot,) = find_dots(scene(canvas, 0.4, 15, 15, 15, 15))
+@pytest.mark.parametrize(("ground", "most"), [(0.4, 1.5), (0.7, 1.5)])
+def test_a_narrow_rim_is_an_end(canvas: Any, ground: float, most: float) -> None:
+    (dot,) = find_dots(scene(canvas, ground, 15, 15, 15, 15))
+    along_sides = (np.array(dot.label_px) - rectangle(15, 15, 15, 15))[::18]
     assert np.max(np.array(dot.label_px) - rectangle(15, 15, 15, 15)) < 3.0
+    assert np.max(along_sides) < most
 
 
 def test_a_soft_shadow_is_no_end(canvas: Any) -> None:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labdaemon.blur.label_settings import LABEL_EDGE
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement
+from labdaemon.blur.patch.label_outline import without_background
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, Patch
 from labdaemon.blur.phase.waveform_series import ORDERS, series_transfer
 from labdaemon.blur.sharp.target import SharpTarget
@@ -89,6 +91,9 @@ def waveform_evidence(
     """
     if not sharp.usable or not sharp.noise_known or isinstance(sharp.form, TexturedPatch):
         return None
+    if sharp.outline is not None:
+        # Background that the label's end brings into the blur looks like another waveform.
+        patch = without_background(sharp.outline, patch, found.centre_px, found.a_px, found.b_px, LABEL_EDGE.margin_px)
     problem = prepare_fit(sharp, patch, found.centre_px)
     if problem is None:
         return None

@@ -1,5 +1,7 @@
 """Blurs that come near the end of their label: right without a flag, or `paper_edge`; never `occluded`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -8,6 +10,7 @@ from labdaemon.blur import Dot, InitialGuess, Patch, fit_sharp, measure
 from labdaemon.blur.fit.label_trials import rank_trials
 from labdaemon.blur.motion import Defocus
 from labdaemon.blur.patch.label_outline import LabelOutline, path_points, without_background
+from labdaemon.blur.phase.shared_waveform import estimate_waveform
 from labdaemon.flags import Flag
 
 STILL = Defocus(0.0, 0.01)
@@ -127,3 +130,17 @@ def test_trials_take_a_mosaic_of_odd_size():
     (value, best), *_ = rank_trials(sharp, LabelOutline(ends), odd, [CENTRE])
     assert value > 0.8
     assert np.hypot(*best.a_px) == pytest.approx(7.3, abs=2.0)
+
+
+@pytest.mark.parametrize("a", [(5.0, 0.0), (0.0, 7.0)])
+def test_the_ground_of_a_label_is_no_other_waveform(a):
+    """All targets would be fitted with the third harmonic that the background of some seems to show."""
+    half, ground = (13.0, 13.0), 2600.0
+    sharp, patch = target(half, ground), frame(half, a, ground)
+    guess = InitialGuess(CENTRE, np.asarray(a), NOTHING)
+    found = measure(sharp, patch, defocus=STILL, initial_guess=guess)
+    shared = estimate_waveform([sharp] * 6, [patch] * 6, [found] * 6, defocus=STILL, whole=True)
+    assert not found.flags
+    assert shared.harmonic is None
+    blind = estimate_waveform([replace(sharp, outline=None)] * 6, [patch] * 6, [found] * 6, defocus=STILL, whole=True)
+    assert blind.harmonic is not None, "the scene does not show what it is for"
