@@ -132,10 +132,9 @@ def test_trials_take_a_mosaic_of_odd_size():
     assert np.hypot(*best.a_px) == pytest.approx(7.3, abs=2.0)
 
 
-@pytest.mark.parametrize("a", [(5.0, 0.0), (0.0, 7.0)])
-def test_the_ground_of_a_label_is_no_other_waveform(a):
+def test_the_ground_of_a_label_is_no_other_waveform():
     """All targets would be fitted with the third harmonic that the background of some seems to show."""
-    half, ground = (13.0, 13.0), 2600.0
+    half, ground, a = (13.0, 13.0), 2600.0, (0.0, 7.0)
     sharp, patch = target(half, ground), frame(half, a, ground)
     guess = InitialGuess(CENTRE, np.asarray(a), NOTHING)
     found = measure(sharp, patch, defocus=STILL, initial_guess=guess)
