@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,9 +60,9 @@ def read_campaign(folder: Path, results: Path | None = None) -> CampaignResponse
         A capture.toml is wrong.
     """
     path = (results or folder / RESULTS) / "envelope.csv"
-    if not path.is_file() and (folder / "envelope.csv").is_file():
+    if not os.path.isfile(path) and os.path.isfile(folder / "envelope.csv"):
         path = folder / "envelope.csv"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError("no envelope.csv in its results; run: labdaemon process FOLDER", file=folder)
     rows: dict[str, dict[str, TargetEnvelope]] = {}
     try:

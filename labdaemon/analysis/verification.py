@@ -8,6 +8,7 @@ number of the result files to the last digit.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
@@ -76,7 +77,7 @@ def check_files(folder: Path) -> FileCheck:
     DataError
         The folder, its crate or a file cannot be read.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise DataError("is not a folder", file=folder)
     recorded = {"journal": _journal_hashes(folder), CRATE: _crate_hashes(folder)}
     differences, checked = [], set()
@@ -84,7 +85,7 @@ def check_files(folder: Path) -> FileCheck:
         for name, sha256 in hashes.items():
             path = folder / name
             checked.add(name)
-            if not path.is_file():
+            if not os.path.isfile(path):
                 differences.append(f"{name} is missing ({source} has it)")
             elif _digest(path) != sha256:
                 differences.append(f"{name} has another content than {source} recorded")
@@ -130,7 +131,7 @@ def _text(value: object) -> str:
 
 
 def _existing(path: Path) -> Path:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError("is not there; run `labdaemon process` on the folder first", file=path)
     return path
 
@@ -158,7 +159,7 @@ def _journal_hashes(folder: Path) -> dict[str, str]:
     """Hashes of the journal next to the campaign's folder, by path inside the folder; empty where there is none."""
     root = folder.resolve()
     data = root.parent.parent
-    if not (data / FILE_NAME).is_file():
+    if not os.path.isfile(data / FILE_NAME):
         return {}
     sql = "SELECT path, sha256 FROM frames WHERE campaign = ?"
     try:
@@ -173,7 +174,7 @@ def _journal_hashes(folder: Path) -> dict[str, str]:
 def _crate_hashes(folder: Path) -> dict[str, str]:
     """Hashes of `ro-crate-metadata.json`, by path inside the folder; empty where there is none."""
     path = folder / CRATE
-    if not path.exists():
+    if not os.path.exists(path):
         return {}
     try:
         graph: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["@graph"]

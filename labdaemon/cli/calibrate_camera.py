@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -46,11 +47,11 @@ def camera(
     the camera turned by 90°, and such that every corner of the frame holds points in some of them.
     """
     board = CharucoBoard.parse(charuco, marker, family) if charuco is not None else None
-    name = name or (folder.stem if folder.is_file() else folder.resolve().name)
+    name = name or (folder.stem if os.path.isfile(folder) else folder.resolve().name)
     if re.fullmatch(r"[A-Za-z0-9_-]+", name) is None:
         raise UsageError(f"{name!r} cannot be a camera's name: give one with --name, of letters, digits, _ and -")
     with ProgressBars(Console(stderr=True)) as bars:
-        if folder.is_file():
+        if os.path.isfile(folder):
             bars("adjustment", 0, 1)
             result = calibrate_export(folder)
         else:
@@ -61,7 +62,7 @@ def camera(
             result = calibrate(photographs, notes)
         bars("adjustment", 1, 1)
     table = camera_table(name, result)
-    written = _write(out or (folder.parent if folder.is_file() else folder) / "results", name, table, result)
+    written = _write(out or (folder.parent if os.path.isfile(folder) else folder) / "results", name, table, result)
     for line in result.left_out:
         click.echo(line, err=True)
     for line in result.warnings:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from dataclasses import asdict
 from itertools import groupby
@@ -142,7 +143,7 @@ def _known_rig(address: str) -> Path:
         path = Path(ask(address, "rig")["config"])
     except NoDaemon:
         path = SIMULATED_RIG
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise UsageError("no daemon runs here to ask for its rig; give --config RIG.toml") from None
     click.echo(f"planned for {path}", err=True)
     return path

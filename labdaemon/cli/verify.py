@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -96,7 +97,7 @@ def _table(floors: list[NoiseFloor]) -> Table:
 
 
 def _chosen(path: Path, captures: tuple[str, ...]) -> list[Row]:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError("is not there; run `labdaemon process` on the folder first", file=path)
     rows = read_csv(path)
     known = {str(row["capture"]) for row in rows}

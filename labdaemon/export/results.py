@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -49,10 +50,10 @@ def read_results(folder: Path, results: Path | None = None) -> FolderResults:
     DataError
         There are no results, or they cannot be read. The message names the file.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise DataError("is not a folder", file=folder)
     path = (results or folder / RESULTS) / "envelope.csv"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError("is not there; run `labdaemon process` on the folder first", file=path)
     captures: dict[str, list[Row]] = {}
     try:

@@ -6,6 +6,7 @@ adjustment says of the lens is as good as the photographs are different, so a se
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,7 +89,7 @@ def board_files(folder: Path) -> list[Path]:
     DataError
         The folder is missing, or holds fewer than `FEWEST_PHOTOGRAPHS` photographs.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise DataError("no such folder", file=folder)
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if len(files) < FEWEST_PHOTOGRAPHS:

@@ -7,6 +7,7 @@ a folder comes before work begins.
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -167,7 +168,7 @@ class DataFolder:
         """
         base = self.root / "sharp"
         where = base / _plain(name, "sharp", self.root) if name else base
-        if not where.is_dir():
+        if not os.path.isdir(where):
             raise DataError("the sharp set is missing", file=where)
         found = _frames_in(where, tuple(self.rig.cameras), several=True)
         if not found and not name:
@@ -186,7 +187,7 @@ class DataFolder:
     def capture_names(self) -> tuple[str, ...]:
         """All captures, in the order of their names."""
         base = self.root / "captures"
-        if not base.is_dir():
+        if not os.path.isdir(base):
             raise DataError("the folder has no captures", file=base)
         names = tuple(sorted(p.name for p in base.iterdir() if p.is_dir() and not p.name.startswith(".")))
         if not names:
@@ -202,7 +203,7 @@ class DataFolder:
             A camera's frame is missing or strange, or `capture.toml` is wrong.
         """
         where = self.root / "captures" / _plain(name, "capture", self.root)
-        if not where.is_dir():
+        if not os.path.isdir(where):
             raise DataError("no such capture", file=where)
         frames = {
             camera: files[0] for camera, files in _frames_in(where, tuple(self.rig.cameras), several=False).items()
@@ -221,7 +222,7 @@ class DataFolder:
 def sharp_sets(root: Path) -> tuple[str, ...]:
     """Names of a folder's sharp sets, the flat one ("") first; empty where there is none."""
     base = root / "sharp"
-    if not base.is_dir():
+    if not os.path.isdir(base):
         return ()
     entries = sorted(base.iterdir())
     has_flat = any(path.is_file() and path.suffix.lower() not in NOT_FRAMES for path in entries)
@@ -237,9 +238,9 @@ def open_folder(root: Path) -> DataFolder:
     DataError, ConfigError
         One line naming the file at fault.
     """
-    if not root.is_dir():
+    if not os.path.isdir(root):
         raise DataError("is not a folder", file=root)
-    if not (root / "rig.toml").exists():
+    if not os.path.exists(root / "rig.toml"):
         raise ConfigError(
             "is no data-set folder: it has no rig.toml. A campaign's folder lies in campaigns/ of the data folder; "
             "`labdaemon campaigns list` names them",
@@ -249,7 +250,9 @@ def open_folder(root: Path) -> DataFolder:
     check_family(rig.control.family, root / "rig.toml")
     control = read_control(root / "control.csv", rig.control.size_mm)
     places = root / "targets.csv"
-    return DataFolder(root, rig, control, read_targets(places, control, rig.control.size_mm) if places.exists() else ())
+    return DataFolder(
+        root, rig, control, read_targets(places, control, rig.control.size_mm) if os.path.exists(places) else ()
+    )
 
 
 def check_frequencies(folder: DataFolder, captures: Sequence[str], group: str) -> None:
@@ -316,7 +319,7 @@ def _camera_and_number(stem: str, cameras: tuple[str, ...], several: bool) -> tu
 
 def _read_at_rest(where: Path) -> bool:
     path = where / "set.toml"
-    if not path.exists():
+    if not os.path.exists(path):
         return True
     table = read_toml(path)
     refuse_unknown_keys(table, frozenset({"at_rest"}), path)
@@ -327,7 +330,7 @@ def _read_at_rest(where: Path) -> bool:
 
 
 def _read_capture(path: Path, cameras: tuple[str, ...]) -> CaptureFile:
-    if not path.exists():
+    if not os.path.exists(path):
         return CaptureFile()
     table = read_toml(path)
     refuse_unknown_keys(table, frozenset(CaptureFile.model_fields), path)

@@ -7,6 +7,7 @@ copied here as it is. What only the daemon needs may be missing; where it is the
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -108,7 +109,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     ConfigError
         It is missing, too large, or is not TOML: in one line.
     """
-    if not path.exists():
+    if not os.path.exists(path):
         raise ConfigError("file is missing", source=path)
     return tomlfile.read_toml(path)[1]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ def envelopes(results: Path) -> dict[str, list[Row]]:
         There are no results.
     """
     path = results / "envelope.csv"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError("is not there; run `labdaemon process` on the folder first", file=path)
     captures: dict[str, list[Row]] = {}
     for row in read_csv(path):
@@ -84,6 +85,8 @@ def report_folder(
     DataError
         There are no results, nothing can be compared with the baseline, or the page cannot be written.
     """
+    if not os.path.isdir(folder):
+        raise DataError("is not a folder", file=folder)
     results = results or folder / "results"
     facts, known = _facts(folder), capture_facts(folder)
     cameras = sorted({path.stem for path in folder.glob("captures/*/*") if path.suffix not in NOT_FRAMES})

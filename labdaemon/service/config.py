@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -72,7 +73,7 @@ class RigConfig(RigSections):
         aside["processing"] = {"workers", "deadline_s"}
         parts = self.model_dump(mode="json", exclude=aside)
         control = self.path(self.control.file)
-        parts["control_csv"] = hashlib.sha256(control.read_bytes()).hexdigest() if control.exists() else None
+        parts["control_csv"] = hashlib.sha256(control.read_bytes()).hexdigest() if os.path.exists(control) else None
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -244,7 +245,7 @@ def _check_files(rig: RigConfig) -> None:
     named = [("control.file", rig.control.file), ("targets.file", rig.targets.file)]
     named.append(("shaker.calibration", rig.shaker.calibration if rig.shaker else None))
     for key, written in named:
-        if written is not None and not rig.path(written).is_file():
+        if written is not None and not os.path.isfile(rig.path(written)):
             raise ConfigError(f"{rig.path(written)} is not there", source=rig.source, key=key)
     control = read_control(rig.path(rig.control.file), rig.control.size_mm)
     if rig.targets.file is not None:

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from labdaemon.cli.main import COMMANDS, ONE_THREAD, cli, main
+from labdaemon.errors import LabdaemonError
 
 
 def helps(command: click.Command, path: tuple[str, ...]) -> list[tuple[str, ...]]:
@@ -53,6 +54,20 @@ def test_a_folder_that_is_no_data_set_is_refused_with_where_those_are(tmp_path: 
     assert done.returncode == 2
     assert done.stderr.startswith(f"labdaemon: {tmp_path}: is no data-set folder: it has no rig.toml.")
     assert "labdaemon campaigns list" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "process X", "verify X", "calibrate camera X", "modes X", "report X", "measure --sharp X X", "plan X",
+        "compare X X", "noise-floor X --capture a --capture b",
+    ],
+)  # fmt: skip
+def test_a_name_that_no_file_can_have_is_refused_in_one_line(arguments: str) -> None:
+    """Python's own tests for files raise where a name is too long for the file system."""
+    done = CliRunner().invoke(cli, arguments.replace("X", "x" * 300).split())
+    assert isinstance(done.exception, (LabdaemonError, SystemExit)), done.exception
+    assert getattr(done.exception, "exit_status", done.exit_code) == 2
 
 
 def test_stop_without_a_daemon_says_what_stops_the_table() -> None:

@@ -122,6 +122,8 @@ def test_the_drivers_calibration_bounds_the_plan_too() -> None:
 MISTAKES: list[tuple[tuple[str, str], str, str]] = [
     (('driver = "scpi"', 'driver = "scpy"'), "shaker.driver", "did you mean scpi"),
     (('driver = "ptp"', 'driver = "webcam"'), "cameras.left.driver", "installed are"),
+    (('"sim-control.csv"', f'"{"x" * 2000}"'), "control.file", "is not there"),
+    (('"sim-targets.csv"', f'"{"x" * 2000}"'), "targets.file", "is not there"),
     (('"apriltag-36h11"', '"apriltag"'), "control.family", "no control targets are called 'apriltag'"),
     (("stroke_mm = 150.0", "stroke_m = 0.15"), "shaker.limits.stroke_m", "did you mean stroke_mm"),
     (("stroke_mm = 150.0", "stroke_mm = 0.15"), "shaker.limits.stroke_mm", "greater than or equal to 1"),
