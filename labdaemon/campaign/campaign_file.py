@@ -247,9 +247,22 @@ class DwellPhase(ShakingPhase):
     """One excitation held for a time, then captured; with `repeats`, watched over hours."""
 
     kind: Literal["dwell"]
-    frequency_hz: PositiveHz
+    frequency_hz: PositiveHz | None = None
+    at: Literal["peaks"] | None = None
+    """At each natural frequency that the `resonance` phase before it found, instead of `frequency_hz`."""
+    most_peaks: Annotated[int, Field(ge=1, le=100, strict=True)] = 8
     amplitude_mm: Amplitude
     hold_s: Seconds
+
+    @model_validator(mode="after")
+    def _one_place(self) -> DwellPhase:
+        if (self.frequency_hz is None) == (self.at is None):
+            raise ValueError('give either frequency_hz or at = "peaks"')
+        if self.at is None and "most_peaks" in self.model_fields_set:
+            raise ValueError('most_peaks belongs to at = "peaks"')
+        if self.at is not None and self.captures > 1 and (self.light is not None or self.phase_rad is not None):
+            raise ValueError('at = "peaks" takes one group of captures at each; use repeats for more')
+        return self
 
 
 class ExternalPhase(PhaseSection):

@@ -37,6 +37,7 @@ def excitations(phase: ExcitedPhase) -> Iterator[tuple[float, float, str, str]]:
             yield round(float(frequency_hz), FREQUENCY_DIGITS), phase.amplitude_mm, "band_hz", "amplitude_mm"
         return
     if isinstance(phase, DwellPhase):
+        assert phase.frequency_hz is not None
         yield phase.frequency_hz, phase.amplitude_mm, "frequency_hz", "amplitude_mm"
         return
     values = frequencies(phase.frequency_hz)

@@ -68,6 +68,8 @@ def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> Deci
     """
     assert step.search is not None
     search = plan.searches[step.search]
+    if search.source is not None:
+        return _next_peak(search, step, list(decisions_of(journal, campaign).values()))
     # Loaded where it is asked for: the table must be at rest before anything heavy is loaded.
     from labdaemon.findings.envelope_series import envelope_series
 
@@ -80,6 +82,26 @@ def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> Deci
     decided = decisions_of(journal, campaign).values()
     earlier = [one for one in decided if one.search == search.number and one.step < step.index]
     return _next_step(search, step, series, earlier[-1] if earlier else None)
+
+
+def _next_peak(search: SearchPlan, step: Step, decided: Sequence[DecisionData]) -> DecisionData:
+    """The next natural frequency of those that an earlier search has found."""
+    ends = [one for one in decided if one.search == search.source and one.frequency_hz is None]
+    modes = ends[-1].modes if ends else ()
+    place = sum(one.search == search.number and one.step < step.index for one in decided)
+    about = DecisionData(step=step.index, search=search.number)
+    if not modes:
+        return about.model_copy(update={"is_reached": False, "reason": "the search before it found no mode"})
+    if place >= len(modes) or not step.shots:
+        reason = f"{place} of {len(modes)} modes were visited"
+        return about.model_copy(update={"is_reached": place >= len(modes), "reason": reason})
+    frequency_hz = round(modes[place].frequency_hz, FREQUENCY_DIGITS)
+    try:
+        search.make_step(step, frequency_hz, search.amplitude_mm, search.hold_s)
+    except LimitError as exc:
+        return about.model_copy(update={"is_reached": False, "reason": f"the next mode is beyond a limit: {exc}"})
+    excitation = {"frequency_hz": frequency_hz, "amplitude_mm": search.amplitude_mm, "hold_s": search.hold_s}
+    return about.model_copy(update={**excitation, "reason": f"mode {place + 1} of {len(modes)}"})
 
 
 def measured_steps(journal: Journal, campaign: str, steps: Sequence[Step]) -> list[MeasuredStep]:

@@ -12,6 +12,7 @@ from labdaemon.campaign.campaign_file import (
     MAX_STEPS,
     AnyPhase,
     Campaign,
+    DwellPhase,
     ExternalPhase,
     PausePhase,
     ResonancePhase,
@@ -21,7 +22,7 @@ from labdaemon.campaign.campaign_file import (
 from labdaemon.campaign.excitations import ExcitedPhase, excitations, hold_after_settling_s
 from labdaemon.campaign.light_plan import ImageScale, LightPlan, LitExcitation, lit_shots, plan_light
 from labdaemon.campaign.limits import ShakerLimits, check_amplitude, check_frequency
-from labdaemon.campaign.sharp_schedule import StepDraft, with_sharp_sets
+from labdaemon.campaign.sharp_schedule import StepDraft, open_steps, with_sharp_sets
 from labdaemon.campaign.steps import Plan, SearchPlan, SettleRule, Shot, Step
 from labdaemon.capture.exposure import choose_exposure, common_steps_s
 from labdaemon.capture.lamp import Lamp
@@ -158,6 +159,8 @@ class _Planner:
             yield StepDraft(self.step(place, phase, None, None, (), hold_s=phase.duration_s or 0.0))
         elif isinstance(phase, ResonancePhase):
             yield from self.resonance(place, phase)
+        elif isinstance(phase, DwellPhase) and phase.at is not None:
+            yield from self.peaks(place, phase)
         else:
             yield from self.shaking(place, phase)
 
@@ -186,16 +189,38 @@ class _Planner:
         )
         yield from first
         longest = max((draft.step for draft in first), key=lambda step: step.predicted_s)
-        follow = replace(longest, label=longest.label.rpartition("-")[0], frequency_hz=None, amplitude_mm=None)
-        follow = replace(follow, precision=None, grouped=False)
-        yield from [StepDraft(follow)] * (phase.most_steps - len(first))
-        yield StepDraft(replace(follow, shots=(), predicted_s=0.0, predicted_bytes=0))
+        yield from open_steps(longest, number, phase.most_steps - len(first))
+
+    def peaks(self, place: int, phase: DwellPhase) -> Iterator[StepDraft]:
+        """A dwell at each mode that the search before it will find; they are checked when they are known."""
+        found = [search for search in self.searches if search.source is None]
+        if not found:
+            key = f"phase[{place}].at"
+            raise ConfigError(
+                "needs a phase of kind resonance before it, which finds them", source=self.source, key=key
+            )
+        for frequency_hz in found[-1].band_hz:
+            self.check(place, frequency_hz, phase.amplitude_mm, "at", "amplitude_mm")
+        number, hold_s = len(self.searches), phase.hold_s
+        search = replace(found[-1], number=number, most_steps=phase.most_peaks, amplitude_mm=phase.amplitude_mm)
+        make_step = partial(self.decided, place, phase)
+        self.searches.append(replace(search, source=found[-1].number, hold_s=hold_s, make_step=make_step))
+        low_hz = found[-1].band_hz[0]
+        slowest = next(self.setting(place, phase, low_hz, phase.amplitude_mm, hold_s=hold_s, is_predicted=False))
+        yield from open_steps(slowest.step, number, phase.most_peaks)
 
     def decided(
-        self, place: int, phase: ResonancePhase, step: Step, frequency_hz: float, amplitude_mm: float, hold_s: float
+        self,
+        place: int,
+        phase: ResonancePhase | DwellPhase,
+        step: Step,
+        frequency_hz: float,
+        amplitude_mm: float,
+        hold_s: float,
     ) -> Step:
         """An open step with its excitation, checked as every step is."""
-        self.check(place, frequency_hz, amplitude_mm, "band_hz", "amplitude_mm")
+        key = "band_hz" if isinstance(phase, ResonancePhase) else "at"
+        self.check(place, frequency_hz, amplitude_mm, key, "amplitude_mm")
         draft = next(self.setting(place, phase, frequency_hz, amplitude_mm, hold_s=hold_s, is_predicted=False))
         label = f"{step.index:05d}-{draft.step.label}"
         return replace(draft.step, index=step.index, label=label, sharp_set=step.sharp_set, search=step.search)

@@ -17,6 +17,22 @@ class StepDraft:
     every_s: float | None = None
 
 
+def open_steps(like: Step, search: int, count: int) -> Iterator[StepDraft]:
+    """Steps whose excitation is decided on the way, and a last one without captures that only ends their search.
+
+    Parameters
+    ----------
+    like
+        A step with the longest time that one may take.
+    """
+    label = like.label.rpartition("-")[0]
+    step = replace(
+        like, label=label, frequency_hz=None, amplitude_mm=None, precision=None, grouped=False, search=search
+    )
+    yield from [StepDraft(step)] * count
+    yield StepDraft(replace(step, shots=(), predicted_s=0.0, predicted_bytes=0))
+
+
 def _continues_search(steps: list[Step], step: Step) -> bool:
     """Whether a step belongs to the search of the step before it, which no sharp set interrupts."""
     return step.search is not None and bool(steps) and steps[-1].search == step.search

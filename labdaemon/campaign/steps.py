@@ -130,6 +130,10 @@ class SearchPlan:
         Largest amplitude of the table, and of any target as far as the model can predict it; None for no limit.
     settle
         Rule of its steps.
+    source
+        Number of the search whose modes are visited one after the other; None for one that finds them itself.
+    hold_s
+        Time to hold each mode that is visited.
     make_step
         An open step with the frequency (Hz), the amplitude (mm) and the hold (s) that were decided, checked against
         the rig as every step; raises `LimitError`.
@@ -144,6 +148,8 @@ class SearchPlan:
     largest_mm: float | None
     settle: SettleRule
     make_step: Callable[[Step, float, float, float], Step]
+    source: int | None = None
+    hold_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,7 +149,7 @@ def _run_campaign(
             match event["kind"]:
                 case "envelope":
                     envelopes.append(event["data"])
-                case "step.decided" if event["data"].get("frequency_hz") is None:
+                case "step.decided" if event["data"].get("frequency_hz") is None and event["data"].get("measured"):
                     searches.append(event["data"])
                 case "capture.completed" if event["data"].get("light"):
                     coded.add(event["data"].get("group") or event["data"]["capture"])

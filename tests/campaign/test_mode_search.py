@@ -177,6 +177,54 @@ def test_a_killed_search_goes_on_with_the_same_decisions(tmp_path: Path, transit
     assert clock.run(main()) == 2
 
 
+PEAKS = """
+[[phase]]
+kind = "dwell"
+at = "peaks"
+amplitude_mm = 0.05
+hold_s = 5.0
+phase_rad = [0.0, 1.5708]
+most_peaks = {most}
+"""
+
+
+@pytest.mark.parametrize("most", [1, 5])
+def test_a_later_dwell_visits_each_mode(simulate, most: int):
+    async def scenario(lab: FakeLab):
+        easy = CAMPAIGN.format(sd_frequency=1e-3, sd_damping=0.1, most_steps=30) + PEAKS.format(most=most)
+        id = await run_to_end(lab, easy)
+        decisions = list(decisions_of(lab.journal, id).values())
+        found = next(one for one in decisions if one.search == 0 and one.frequency_hz is None)
+        visited = [one for one in decisions if one.search == 1]
+        expected = [round(mode.frequency_hz, 3) for mode in found.modes][:most]
+        assert [one.frequency_hz for one in visited] == [*expected, None]
+        assert visited[-1].is_reached is (most >= len(found.modes) == 2)
+        labels = {event.data["capture"] for event in lab.journal.events_after(0, 10_000) if event.kind == "envelope"}
+        assert sum("dwell" in label for label in labels) == len(expected)
+
+    simulate(scenario)
+
+
+@pytest.mark.parametrize(
+    ("phases", "words"),
+    [
+        (PEAKS.format(most=2), "phase[0].at"),
+        (QUICK.partition("[[phase]]")[2] + PEAKS.format(most=0), "most_peaks"),
+        (PEAKS.format(most=2) + "frequency_hz = 5.0\n", "either frequency_hz or at"),
+        (PEAKS.format(most=2).replace('at = "peaks"\nam', "am"), "either frequency_hz or at"),
+        (PEAKS.format(most=2) + "captures = 2\n", "one group of captures"),
+    ],
+)
+def test_mistakes_about_peaks_are_refused(simulate, phases: str, words: str):
+    async def scenario(lab: FakeLab):
+        head = 'name = "peaks"\n' + ("[[phase]]" if phases.startswith("\nkind") else "")
+        with pytest.raises(ConfigError) as refused:
+            lab.plan(head + phases)
+        assert words in str(refused.value)
+
+    simulate(scenario)
+
+
 def test_a_search_says_why_it_ended_early(simulate):
     async def scenario(lab: FakeLab):
         few = CAMPAIGN.format(sd_frequency=1e-7, sd_damping=0.0001, most_steps=16)
