@@ -10,6 +10,9 @@ import click
 
 from labdaemon.errors import UsageError
 
+SHOWN_Z = 3.0
+"""Nodes that moved by fewer sd are in the JSON alone."""
+
 
 @click.command()
 @click.argument("baseline", type=click.Path(file_okay=False, path_type=Path))
@@ -43,9 +46,17 @@ def compare(baseline: Path, other: Path, levels_mm: str | None, same_scale: bool
     for one in result.modes:
         click.echo(
             f"  mode {one.frequency_hz:.4f} Hz -> {one.other_hz:.4f} Hz: {100 * one.shift:+.4f} ± "
-            f"{100 * one.sd_shift:.4f} %, damping {100 * one.damping_change:+.1f} ± "
-            f"{100 * one.sd_damping_change:.1f} %, MAC {one.mac:.5f}"
+            f"{100 * one.sd_shift:.4f} % (z {one.z_shift:+.1f}), damping {100 * one.damping_change:+.1f} ± "
+            f"{100 * one.sd_damping_change:.1f} % (z {one.z_damping_change:+.1f}), MAC {one.mac.value:.5f} ± "
+            f"{one.mac.sd:.5f} (z {one.mac.z:+.1f})"
         )
+        for node in one.node_shifts:
+            if abs(node.z) > SHOWN_Z:
+                where = f"member {node.member + 1} at {node.height_mm:.0f} mm"
+                click.echo(f"    node of {where} moved by {node.shift_mm:+.1f} ± {node.sd_mm:.1f} mm (z {node.z:+.1f})")
+    if result.comac:
+        target, lowest = min(result.comac.items(), key=lambda pair: pair[1].z)
+        click.echo(f"  lowest COMAC: {lowest.value:.5f} ± {lowest.sd:.5f} at {target} (z {lowest.z:+.1f})")
     for finding in result.findings[:20]:
         click.echo(f"  {finding.text}")
     for change in result.explained_by:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from labdaemon.findings.assurance import Assurance, comac, mac
 from labdaemon.findings.common_scale import CommonChange, CommonFit, fit_common
 from labdaemon.findings.locate import (
     Explanation,
@@ -19,7 +20,7 @@ from labdaemon.findings.locate import (
 )
 from labdaemon.findings.max_statistic import MaxTest, max_test
 from labdaemon.findings.modal_state import ModalState, align_signs, pair_modes
-from labdaemon.findings.mode_shape import ModeShape, comac_values, curvature_rows, mac, nodes
+from labdaemon.findings.mode_shape import ModeShape, curvature_rows, nodes
 from labdaemon.findings.response import FloatArray
 
 SHAPE_FLOOR = 1e-3
@@ -54,6 +55,29 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
+class NodeShift:
+    """A node that moved along its member.
+
+    Attributes
+    ----------
+    member, height_mm
+        Index of the member, and the node's height in the baseline.
+    shift_mm, sd_mm
+        Height in the other state minus that in the baseline.
+    """
+
+    member: int
+    height_mm: float
+    shift_mm: float
+    sd_mm: float
+
+    @property
+    def z(self) -> float:
+        """Shift over its sd."""
+        return self.shift_mm / self.sd_mm if self.sd_mm > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class ModeChange:
     """One pair of modes.
 
@@ -63,10 +87,10 @@ class ModeChange:
         Of both states.
     shift, sd_shift, damping_change, sd_damping_change
         Relative, common changes included.
-    mac, sd_mac, mac_bias
-        MAC, its sd, and what noise alone takes from 1.
-    node_shifts_mm
-        (member, height, shift, sd) of each node that both states have.
+    mac
+        Modal assurance criterion.
+    node_shifts
+        Of each node that both states have.
     """
 
     frequency_hz: float
@@ -75,10 +99,18 @@ class ModeChange:
     sd_shift: float
     damping_change: float
     sd_damping_change: float
-    mac: float
-    sd_mac: float
-    mac_bias: float
-    node_shifts_mm: tuple[tuple[int, float, float, float], ...]
+    mac: Assurance
+    node_shifts: tuple[NodeShift, ...]
+
+    @property
+    def z_shift(self) -> float:
+        """Shift of the frequency over its sd, common changes included."""
+        return self.shift / self.sd_shift if self.sd_shift > 0 else 0.0
+
+    @property
+    def z_damping_change(self) -> float:
+        """Change of the damping over its sd, common changes included."""
+        return self.damping_change / self.sd_damping_change if self.sd_damping_change > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +134,7 @@ class Comparison:
     notes
         What could not be compared, and why.
     comac
-        (T,) of each target, the smallest of its directions.
+        By target, of its direction with the lowest z-score; targets that hardly move have none.
     """
 
     changed: bool
@@ -113,7 +145,7 @@ class Comparison:
     storeys: tuple[Explanation, ...]
     model: ShearModel | None
     notes: tuple[str, ...] = ()
-    comac: tuple[tuple[str, float], ...] = ()
+    comac: dict[str, Assurance] = field(default_factory=dict)
 
 
 def compare_states(
@@ -147,7 +179,8 @@ def compare_states(
     first = baseline.subset(np.array([i for i, _ in pairs]), every)
     second = align_signs(first, other.subset(np.array([j for _, j in pairs]), every), targets_too=free_target_signs)
     difference = second.vector() - first.vector()
-    covariance = first.covariance + second.covariance + _floor(first)
+    floored = tuple(replace(one, covariance=one.covariance + 0.5 * _floor(first)) for one in (first, second))
+    covariance = floored[0].covariance + floored[1].covariance
     common = fit_common(first, difference, covariance, same_scale=same_scale)
     model = shear_model(first, level_mm, is_fixed=is_fixed)
     rows, labels = _test_rows(first, common, model)
@@ -161,11 +194,11 @@ def compare_states(
         test.p_value,
         tuple(_findings(test, labels, storeys)),
         common.changes,
-        tuple(_mode_changes(first, second)),
+        tuple(_mode_changes(*floored)),
         tuple(storeys),
         model,
         tuple(notes),
-        _comac(first, second),
+        comac(*floored),
     )
 
 
@@ -239,7 +272,6 @@ def _mode_changes(first: ModalState, second: ModalState) -> list[ModeChange]:
             ModeShape(state.shapes[mode].ravel(), state.covariance[part, part], state.positions_mm)
             for state in (first, second)
         )
-        likeness = mac(ones, others)
         shift = float(second.log_frequency[mode] - first.log_frequency[mode])
         damping = float(second.log_damping[mode] - first.log_damping[mode])
         found.append(
@@ -250,16 +282,14 @@ def _mode_changes(first: ModalState, second: ModalState) -> list[ModeChange]:
                 float(sd[mode]),
                 damping,
                 float(sd[modes + mode]),
-                likeness.value,
-                likeness.sd,
-                likeness.bias,
+                mac(ones, others),
                 _node_shifts(ones, others),
             )
         )
     return found
 
 
-def _node_shifts(one: ModeShape, other: ModeShape) -> tuple[tuple[int, float, float, float], ...]:
+def _node_shifts(one: ModeShape, other: ModeShape) -> tuple[NodeShift, ...]:
     """Movement of nodes that both shapes have, each with its nearest."""
     before, after = nodes(one), nodes(other)
     shifts = []
@@ -268,16 +298,8 @@ def _node_shifts(one: ModeShape, other: ModeShape) -> tuple[tuple[int, float, fl
         if near:
             best = min(near, key=lambda each: abs(each.height_mm - node.height_mm))
             shift, sd = best.height_mm - node.height_mm, float(np.hypot(node.sd_mm, best.sd_mm))
-            shifts.append((node.member, node.height_mm, shift, sd))
+            shifts.append(NodeShift(node.member, node.height_mm, shift, sd))
     return tuple(shifts)
-
-
-def _comac(first: ModalState, second: ModalState) -> tuple[tuple[str, float], ...]:
-    ones = [shape.ravel().astype(complex) for shape in first.shapes]
-    others = [shape.ravel().astype(complex) for shape in second.shapes]
-    strong = np.sqrt(np.sum(np.array(ones).real ** 2, axis=0)) > 0.1 * np.abs(np.array(ones)).max()
-    values = np.where(strong, comac_values(ones, others), 1.0).reshape(len(first.targets), -1).min(axis=1)
-    return tuple((name, float(value)) for name, value in zip(first.targets, values, strict=True))
 
 
 def as_json(found: Comparison) -> dict[str, Any]:
@@ -291,23 +313,27 @@ def as_json(found: Comparison) -> dict[str, Any]:
             for one in found.explained_by
         ],
         "inseparable": [one.where for one in found.storeys],
-        "modes": [
-            {
-                "frequency_hz": one.frequency_hz,
-                "other_hz": one.other_hz,
-                "shift": one.shift,
-                "sd_shift": one.sd_shift,
-                "damping_change": one.damping_change,
-                "sd_damping_change": one.sd_damping_change,
-                "mac": one.mac,
-                "sd_mac": one.sd_mac,
-                "node_shifts_mm": [list(shift) for shift in one.node_shifts_mm],
-            }
-            for one in found.modes
-        ],
-        "comac": dict(found.comac),
+        "modes": [_mode_json(one) for one in found.modes],
+        "comac": {name: asdict(one) for name, one in found.comac.items()},
         "shear_frame": _shear_json(found.model),
         "notes": list(found.notes),
+    }
+
+
+def _mode_json(one: ModeChange) -> dict[str, Any]:
+    return {
+        "frequency_hz": one.frequency_hz,
+        "other_hz": one.other_hz,
+        "shift": one.shift,
+        "sd_shift": one.sd_shift,
+        "z_shift": one.z_shift,
+        "damping_change": one.damping_change,
+        "sd_damping_change": one.sd_damping_change,
+        "z_damping_change": one.z_damping_change,
+        "mac": one.mac.value,
+        "sd_mac": one.mac.sd,
+        "z_mac": one.mac.z,
+        "node_shifts": [{**asdict(node), "z": node.z} for node in one.node_shifts],
     }
 
 

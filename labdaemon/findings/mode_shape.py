@@ -4,8 +4,7 @@ A shape here is the residue of a mode: mode shape times participation factor, mm
 multiplied by f²/(f_r² − f² + 2iζ_r f_r f). So it needs no masses, and a uniform change of mass or stiffness leaves it
 unchanged. `unit_scaled` gives the usual form with the largest component 1.
 
-MAC: Allemang and Brown 1982 (IMAC 1, pages 110–116). COMAC: Lieven and Ewins 1988 (IMAC 6). MPC: Juang and Pappa 1985,
-doi:10.2514/3.20031. Curvature as an indicator of damage: Pandey, Biswas and Samman 1991,
+MPC: Juang and Pappa 1985, doi:10.2514/3.20031. Curvature as an indicator of damage: Pandey, Biswas and Samman 1991,
 doi:10.1016/0022-460X(91)90595-B.
 """
 
@@ -86,42 +85,10 @@ def as_complex(values: FloatArray, is_complex: bool) -> ComplexArray:
 
 
 def mac_value(one: ComplexArray, other: ComplexArray) -> float:
-    """Modal assurance criterion of two vectors."""
+    """Modal assurance criterion: squared cosine of the angle between two vectors."""
     product = float(abs(np.vdot(one, other))) ** 2
     size = float(np.vdot(one, one).real) * float(np.vdot(other, other).real)
     return product / max(size, 1e-300)
-
-
-def mac(one: ModeShape, other: ModeShape) -> Estimate:
-    """MAC of two independent shapes; `bias` is by how much noise lowers it (a negative number).
-
-    Where the shapes are parallel the gradient vanishes, and 1 − MAC is |P(δ₁ − δ₂)|² for unit shapes, P the projection
-    across them: mean tr(PCP), variance 2·tr((PCP)²).
-    """
-    size = len(one.values)
-    both = np.concatenate([one.values, other.values])
-    covariance = np.zeros((len(both), len(both)))
-    covariance[:size, :size], covariance[size:, size:] = one.covariance, other.covariance
-
-    def value(x: FloatArray) -> float:
-        return mac_value(as_complex(x[:size], one.is_complex), as_complex(x[size:], other.is_complex))
-
-    first = propagate(value, both, covariance)
-    across = np.zeros((size, size))
-    for shape in (one, other):
-        length2 = float(shape.values @ shape.values)
-        project = np.eye(size) - np.outer(shape.values, shape.values) / length2
-        across += project @ shape.covariance @ project / length2
-    sd = float(np.hypot(first.sd, np.sqrt(2 * np.sum(across**2) * first.value**2)))
-    return Estimate(first.value, sd, -float(np.trace(across)) * first.value)
-
-
-def comac_values(ones: list[ComplexArray], others: list[ComplexArray]) -> FloatArray:
-    """(T·D,) coordinate MAC over pairs of modes."""
-    left, right = np.array(ones), np.array(others)
-    product = np.sum(np.abs(left * right.conj()), axis=0) ** 2
-    size = np.sum(np.abs(left) ** 2, axis=0) * np.sum(np.abs(right) ** 2, axis=0)
-    return np.asarray(product / np.maximum(size, 1e-300))
 
 
 def mpc_value(shape: ComplexArray) -> float:

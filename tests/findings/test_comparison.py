@@ -112,10 +112,12 @@ def test_the_shear_frame_of_the_baseline(baseline: ModalFit) -> None:
 def test_nodes_and_mac_are_reported(baseline: ModalFit) -> None:
     found = against(baseline, STRUCTURE.with_stiffness(0, 0.9))
     assert len(found.modes) == 4
-    assert all(one.mac > 0.9 for one in found.modes)
-    shifts = [shift for one in found.modes for shift in one.node_shifts_mm]
-    assert any(abs(shift) > 5 * sd for _, _, shift, sd in shifts)
-    assert min(value for _, value in found.comac) < 0.9999
+    assert all(one.mac.value > 0.9 for one in found.modes)
+    assert min(one.mac.z for one in found.modes) < -5
+    assert max(abs(node.z) for one in found.modes for node in one.node_shifts) > 5
+    lowest = min(found.comac.values(), key=lambda one: one.z)
+    assert lowest.value < 0.9999
+    assert lowest.z < -5
 
 
 def test_modes_of_one_state_alone_are_named(baseline: ModalFit) -> None:

@@ -7,10 +7,7 @@ from labdaemon.findings.members import levels, members, targets_of_levels
 from labdaemon.findings.mode_shape import (
     ModeShape,
     antinodes,
-    comac_values,
     curvature,
-    mac,
-    mac_value,
     mpc,
     mpc_value,
     nodes,
@@ -93,16 +90,6 @@ def test_torsion_and_out_of_plane_part() -> None:
     assert np.std([share_along(one, 1).value for one in drawn(shape, 60)]) == pytest.approx(across.sd, rel=0.3)
 
 
-def test_mac_of_equal_shapes_is_lowered_by_noise_alone() -> None:
-    shape = shape_of(sd=0.02)
-    found = mac(shape, shape)
-    assert found.value == pytest.approx(1.0)
-    pairs = drawn(shape, 300)
-    values = [mac_value(a.vectors.ravel(), b.vectors.ravel()) for a, b in zip(pairs[::2], pairs[1::2], strict=True)]
-    assert np.mean(values) - 1 == pytest.approx(found.bias, rel=0.15)
-    assert np.std(values) == pytest.approx(found.sd, rel=0.25)
-
-
 def test_mpc_of_real_and_complex_shapes() -> None:
     assert mpc(shape_of()).value == 1.0
     shape = shape_of(sd=0.01, imaginary=0.3)
@@ -118,15 +105,6 @@ def as_turned(shape: ModeShape) -> ModeShape:
     """The same shape with another phase: the collinearity does not change."""
     values = shape.vectors.ravel() * np.exp(0.7j)
     return ModeShape(np.concatenate([values.real, values.imag]), shape.covariance, POSITIONS, True)
-
-
-def test_comac_shows_the_coordinate_that_changed() -> None:
-    first = [np.ones(5, complex), np.array([1, 2, -1, -2, 1], complex)]
-    second = [one.copy() for one in first]
-    second[1][2] *= -3
-    values = comac_values(first, second)
-    assert int(np.argmin(values)) == 2
-    assert np.allclose(np.delete(values, 2), 1.0)
 
 
 def test_unit_scaling() -> None:
