@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labdaemon.correlation_text import covariance_of
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 from labdaemon.named_sequence import NamedSequence
@@ -46,6 +47,8 @@ class TargetEnvelope:
         Residual of the second-best solution divided by that of the best one; None where nothing was to be decided.
     flags
         Statements about this target, empty when all is well.
+    correlation
+        Correlations of the nine numbers, as `envelope.csv` has them; None where they are not known.
     """
 
     target: str
@@ -57,6 +60,15 @@ class TargetEnvelope:
     sd_b_mm: FloatArray
     residual_ratio: float | None = None
     flags: frozenset[Flag] = field(default_factory=frozenset)
+    correlation: str | None = None
+
+    @property
+    def covariance_mm2(self) -> FloatArray:
+        """(9, 9) covariance of x, y, z of `mean_mm`, of `a_mm` and of `b_mm`, mm²; NaN where there is no sd.
+
+        Diagonal where correlations are not known.
+        """
+        return covariance_of(np.concatenate([self.sd_mean_mm, self.sd_a_mm, self.sd_b_mm]), self.correlation)
 
     @property
     def amplitude_mm(self) -> float:
@@ -68,14 +80,14 @@ class TargetEnvelope:
 
     @property
     def sd_mm(self) -> float:
-        """Standard deviation of `amplitude_mm`, to first order and without correlations between components."""
+        """Standard deviation of `amplitude_mm`, to first order, with the correlations that are known."""
         vectors = np.column_stack((self.a_mm, self.b_mm))
         if not np.isfinite(vectors).all():
             return math.nan
         left, _, right = np.linalg.svd(vectors)
-        share = np.outer(left[:, 0], right[0])
-        sd = np.nan_to_num(np.column_stack((self.sd_a_mm, self.sd_b_mm)))
-        return float(np.sqrt(np.sum((share * sd) ** 2)))
+        slope = np.outer(right[0], left[:, 0]).ravel()  # by a, then by b
+        variance = float(slope @ np.nan_to_num(self.covariance_mm2[3:, 3:]) @ slope)
+        return math.sqrt(max(variance, 0.0))
 
     def __repr__(self) -> str:
         flags = f", flags {';'.join(sorted(self.flags))}" if self.flags else ""
@@ -111,6 +123,7 @@ class TargetEnvelope:
             sd_b,
             residual_ratio=None if ratio is None else float(ratio),
             flags=frozenset(known[flag] for flag in row.get("flags") or () if flag in known),
+            correlation=row["correlation"] if isinstance(row.get("correlation"), str) else None,
         )
 
 

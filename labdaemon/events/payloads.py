@@ -182,6 +182,9 @@ class TargetRow(EventPart):
         Names of `labdaemon.Flag`, empty when all is well; a newer daemon may send others.
     sign
         1 or -1 where the sign of a is known; None where it is not.
+    correlation
+        The 36 correlations of x, y, z of the position, of a and of b, above the diagonal, row by row, separated by
+        spaces; None where they are not known.
     """
 
     target: str
@@ -207,6 +210,7 @@ class TargetRow(EventPart):
     residual_ratio: float | None = None
     flags: tuple[str, ...] = ()
     sign: int | None = None
+    correlation: str | None = None
 
 
 class EnvelopeData(EventPart):

@@ -34,6 +34,10 @@ SCALARS = {
     "sd_transmissibility": ("1", "standard deviation of transmissibility, with that of the table's amplitude"),
 }
 """Scalars of a target, (captures, targets), their unit and what they are."""
+COVARIANCE = "covariance_mm2"
+COVARIANCE_MEANING = "covariance of x, y, z of mean_mm, of a_mm and of b_mm, in this order"
+COVARIANCE_AXIS = tuple(f"{name}{axis}_mm" for name in ("", "a", "b") for axis in "xyz")
+"""What the rows and columns of a covariance belong to."""
 PER_CAPTURE = {
     "frequency_hz": ("Hz", "excitation frequency"),
     "excitation_amplitude_mm": ("mm", "amplitude of the table as it was set, zero to peak"),
@@ -64,6 +68,9 @@ class EnvelopeCube:
         `VECTORS` by name, (captures, targets, 3) each, x y z; NaN where not measured.
     scalars
         `SCALARS` by name, (captures, targets) each.
+    covariance_mm2
+        (captures, targets, 9, 9) in the order of `COVARIANCE_AXIS`; NaN where not measured, diagonal where only the
+        standard deviations are known.
     flags
         (captures, targets) of text, separated by ``;``; "not_found" where a capture has no row of a target.
     """
@@ -76,6 +83,7 @@ class EnvelopeCube:
     table_phase_rad: FloatArray
     vectors: dict[str, FloatArray]
     scalars: dict[str, FloatArray]
+    covariance_mm2: FloatArray
     flags: TextArray
 
     @classmethod
@@ -93,6 +101,7 @@ class EnvelopeCube:
             np.array([0.0 if one.table is None else one.table.phase_rad or 0.0 for one in results.facts]),
             {name: _stack(rows, targets, attrgetter(name), 3) for name in VECTORS},
             _scalars(rows, targets, per_capture),
+            _stack(rows, targets, lambda one: one.covariance_mm2.ravel(), 81).reshape(len(rows), len(targets), 9, 9),
             np.array([[_flags(row.get(target)) for target in targets] for row in rows], dtype=np.str_),
         )
 

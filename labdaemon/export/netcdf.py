@@ -5,7 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdaemon.export.cube import PER_CAPTURE, SCALARS, VECTORS, EnvelopeCube
+from labdaemon.export.cube import (
+    COVARIANCE,
+    COVARIANCE_AXIS,
+    COVARIANCE_MEANING,
+    PER_CAPTURE,
+    SCALARS,
+    VECTORS,
+    EnvelopeCube,
+)
 from labdaemon.export.results import FolderResults
 from labdaemon.version import __version__
 
@@ -28,6 +36,11 @@ def to_dataset(results: FolderResults) -> xr.Dataset:
             name: (pair, cube.scalars[name], {"units": unit, "long_name": meaning})
             for name, (unit, meaning) in SCALARS.items()
         },
+        COVARIANCE: (
+            (*pair, "number", "other_number"),
+            cube.covariance_mm2,
+            {"units": "mm2", "long_name": COVARIANCE_MEANING},
+        ),
         "flags": (pair, cube.flags.astype(object)),
         "is_phase_known": ("capture", cube.is_phase_known.astype("i1")),
         "opened_at": ("capture", cube.opened_at.astype(object)),
@@ -36,6 +49,8 @@ def to_dataset(results: FolderResults) -> xr.Dataset:
         "capture": list(cube.captures),
         "target": list(cube.targets),
         "axis": ["x", "y", "z"],
+        "number": list(COVARIANCE_AXIS),
+        "other_number": list(COVARIANCE_AXIS),
         **{
             name: ("capture", cube.per_capture[name], {"units": unit, "long_name": meaning})
             for name, (unit, meaning) in PER_CAPTURE.items()

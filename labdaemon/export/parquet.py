@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from labdaemon.export.cube import PER_CAPTURE, SCALARS, EnvelopeCube
+from labdaemon.export.cube import COVARIANCE_AXIS, PER_CAPTURE, SCALARS, EnvelopeCube
 from labdaemon.export.results import FolderResults
 from labdaemon.version import __version__
 
@@ -19,7 +19,10 @@ _PREFIXES = {"mean_mm": "", "a_mm": "a", "b_mm": "b", "sd_mean_mm": "sd_", "sd_a
 
 
 def to_table(results: FolderResults) -> pa.Table:
-    """All envelopes as one table, a row per capture and target. Empty numbers are null."""
+    """All envelopes as one table, a row per capture and target. Empty numbers are null.
+
+    Covariances are the columns ``cov_x_ax_mm2`` and so on; the variances are the squares of the ``sd_`` columns.
+    """
     cube = EnvelopeCube.of(results)
     shape = (len(cube.captures), len(cube.targets))
     columns: dict[str, tuple[pa.Array, str | None]] = {
@@ -35,6 +38,10 @@ def to_table(results: FolderResults) -> pa.Table:
             columns[f"{prefix}{letter}_mm"] = (_numbers(cube.vectors[name][..., axis].ravel()), "mm")
     for name, (unit, _) in SCALARS.items():
         columns[name] = (_numbers(cube.scalars[name].ravel()), unit)
+    for i, one in enumerate(COVARIANCE_AXIS):
+        for j, other in enumerate(COVARIANCE_AXIS[:i]):
+            name = f"cov_{other.removesuffix('_mm')}_{one.removesuffix('_mm')}_mm2"
+            columns[name] = (_numbers(cube.covariance_mm2[..., j, i].ravel()), "mm2")
     flags = [text.split(";") if text else [] for text in cube.flags.ravel()]
     columns["flags"] = (pa.array(flags, pa.list_(pa.string())), None)
     fields = [

@@ -11,6 +11,7 @@ MAC: Allemang and Brown 1982 (IMAC 1, pages 110–116). COMAC: Lieven and Ewins 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,7 +130,7 @@ def normal_score(value: float, weights: FloatArray) -> float:
     value = max(value, NEGLIGIBLE * mean)
 
     def slope(at: float) -> float:
-        return float(np.sum(weights / (1 - 2 * at * weights))) - value
+        return float(np.sum(weights / (1 - 2 * at * weights)) - value)
 
     # Between these the slope of the cumulant generating function takes the value.
     low, high = -len(weights) / (2 * value) - 1.0 / largest, max(0.0, (1 - largest / value) / (2 * largest))
@@ -137,6 +138,6 @@ def normal_score(value: float, weights: FloatArray) -> float:
     rest = 1 - 2 * at * weights
     score = float(np.sign(at) * np.sqrt(max(2 * (at * value + 0.5 * np.sum(np.log(rest))), 0.0)))
     if abs(score) < 1e-3:  # at the mean the formula is 0/0; its limit is a sixth of the skewness
-        return score + 8 * float(np.sum(weights**3)) / (6 * (2 * float(np.sum(weights**2))) ** 1.5)
+        return score + 8 * float(np.sum(weights**3)) / (6 * math.pow(2 * float(np.sum(weights**2)), 1.5))
     curvature = at * float(np.sqrt(2 * np.sum((weights / rest) ** 2)))
-    return float(score + np.log(curvature / score) / score)
+    return score + math.log(curvature / score) / score

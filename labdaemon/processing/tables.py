@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labdaemon.blur import Measurement
+from labdaemon.correlation_text import correlation_text
 from labdaemon.durable import write_durably
 from labdaemon.flags import Flag
 from labdaemon.geometry import ObjectMotion
@@ -24,7 +25,12 @@ JSON-able."""
 _PX = ("x_px", "y_px", "ax_px", "ay_px", "bx_px", "by_px")
 _MM = ("x_mm", "y_mm", "z_mm", "ax_mm", "ay_mm", "az_mm", "bx_mm", "by_mm", "bz_mm")
 MEASUREMENT_COLUMNS = ("capture", "camera", "target", *_PX, *(f"sd_{name}" for name in _PX), "flags", "sign")
-ENVELOPE_COLUMNS = ("capture", "target", *_MM, *(f"sd_{name}" for name in _MM), "residual_ratio", "flags", "sign")
+ENVELOPE_COLUMNS = (
+    *("capture", "target", *_MM, *(f"sd_{name}" for name in _MM)),
+    *("residual_ratio", "flags", "sign", "correlation"),
+)
+_LATER: Row = {"sign": None, "correlation": None}
+"""Columns that rows of an older journal lack."""
 
 
 def _number(value: float) -> float | None:
@@ -52,18 +58,19 @@ def measurement_row(capture: str, camera: str, measurement: Measurement, sign: i
 def envelope_row(capture: str, target: str, motion: ObjectMotion | None, flags: Iterable[Flag], sign: int = 0) -> Row:
     """One row of `envelope.csv`; `motion` None where the target could not be measured, `sign` 0 where unknown."""
     nothing = np.full(9, np.nan)
-    values, sds, ratio = nothing, nothing, None
+    values, sds, ratio, correlation = nothing, nothing, None, None
     if motion is not None:
         values = np.concatenate([motion.mean_mm, motion.a_mm, motion.b_mm])
         with np.errstate(invalid="ignore"):
             sds = np.sqrt(np.diag(motion.covariance_mm2))
-        ratio = motion.residual_ratio
+        ratio, correlation = motion.residual_ratio, correlation_text(motion.covariance_mm2)
     row: Row = {"capture": capture, "target": target}
     row.update({name: _number(value) for name, value in zip(_MM, values, strict=True)})
     row.update({f"sd_{name}": _number(value) for name, value in zip(_MM, sds, strict=True)})
     row["residual_ratio"] = None if ratio is None else _number(ratio)
     row["flags"] = _flags(flags)
     row["sign"] = sign or None
+    row["correlation"] = correlation
     return row
 
 
@@ -80,12 +87,12 @@ def _cell(value: Value) -> str:
 def csv_text(columns: Sequence[str], rows: Iterable[Row]) -> str:
     """The file's text: header, one line a row, six decimals, empty where there is no number.
 
-    Rows that a journal kept from before there were signs have none.
+    Rows that a journal kept from before there were signs or correlations have none.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([_cell(({"sign": None} | row)[column]) for column in columns] for row in rows)
+    writer.writerows([_cell((_LATER | row)[column]) for column in columns] for row in rows)
     return out.getvalue()
 
 
@@ -112,6 +119,8 @@ def read_csv(path: Path) -> list[Row]:
                     row[column] = text
                 elif column == "flags":
                     row[column] = text.split(";") if text else []
+                elif column == "correlation":
+                    row[column] = text or None
                 else:
                     row[column] = float(text) if text else None
             rows.append(row)

@@ -10,20 +10,26 @@ from labdaemon.flags import Flag
 
 HEADER = (
     "capture,target,x_mm,y_mm,z_mm,ax_mm,ay_mm,az_mm,bx_mm,by_mm,bz_mm,sd_x_mm,sd_y_mm,sd_z_mm,sd_ax_mm,sd_ay_mm,"
-    "sd_az_mm,sd_bx_mm,sd_by_mm,sd_bz_mm,residual_ratio,flags,sign"
+    "sd_az_mm,sd_bx_mm,sd_by_mm,sd_bz_mm,residual_ratio,flags,sign,correlation"
 )
 CAPTURES = {"five": (5.0, 2.0), "eight": (8.0, 1.0), "twelve": (12.0, 0.5)}
 """Name of a capture -> frequency in Hz, amplitude of the table in mm."""
+CORRELATION = " ".join(["0.0000"] * 22 + ["0.4000"] + ["0.0000"] * 13)
+"""Of ax and az alone: the 23rd above the diagonal of x, y, z, ax, ay, az, bx, by, bz."""
 TARGETS = ("T1", "T2", "nœud 3")
 
 
 def row(capture: str, target: str, index: int, scale: float) -> str:
     if capture == "twelve" and target == "T2":
-        return f"{capture},{target}{',' * 20}{Flag.NOT_FOUND.value},"
+        return f"{capture},{target}{',' * 20}{Flag.NOT_FOUND.value},,"
     motion = [scale * (index + 1), 0.0, 0.25 * scale, 0.0, 0.125 * scale, 0.0]
     values = [100.0 * index, 10.0, 50.0 * index, *motion, *[0.01] * 3, *[0.002] * 6]
     flags = "at_rest;camera_moved" if target == "nœud 3" and capture == "five" else ""
-    return f"{capture},{target}," + ",".join(f"{value:.6f}" for value in values) + f",,{flags},"
+    return (
+        f"{capture},{target},"
+        + ",".join(f"{value:.6f}" for value in values)
+        + f",,{flags},,{CORRELATION if target == 'T2' else ''}"
+    )
 
 
 @pytest.fixture
