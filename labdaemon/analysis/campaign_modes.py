@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,24 @@ from labdaemon.findings import (
     transmissibility_of,
 )
 from labdaemon.findings.modal_state import ModalState, state_of
-from labdaemon.findings.mode_shape import ModeShape, ShapePoint, antinodes, nodes, section_motions, share_along
+from labdaemon.findings.mode_shape import (
+    ModeShape,
+    SectionMotion,
+    ShapePoint,
+    antinodes,
+    curvature,
+    mpc,
+    nodes,
+    section_motions,
+    share_along,
+)
 from labdaemon.findings.propagation import Estimate
+from labdaemon.findings.response import FloatArray
+
+SCALING = (
+    "residues: mm of the target per mm of the table when multiplied by f²/(f_r² − f² + 2iζ_r f_r f); "
+    "mode shape times participation factor"
+)
 
 LEAST_TARGETS = 6
 """Targets that are fitted however many steps there are."""
@@ -40,6 +56,14 @@ class ModeReport:
         Residue at each target, mm per mm of the table.
     nodes, antinodes
         On each member.
+    complex_shape
+        The same with imaginary parts, at the phase at which most of it is real; None where residues are real.
+    collinearity
+        Modal phase collinearity; 1 where residues are real.
+    sections
+        Sway and torsion at each level with two targets or more.
+    curvature
+        (member, height in mm, second derivative in 1/mm² per unit of the shape).
     out_of_plane
         Part of the squared motion across the table's direction (along y).
     torsion_per_mm
@@ -50,22 +74,28 @@ class ModeReport:
     shape: ModeShape
     nodes: tuple[ShapePoint, ...]
     antinodes: tuple[ShapePoint, ...]
+    complex_shape: ModeShape | None
+    collinearity: Estimate
+    sections: tuple[SectionMotion, ...]
+    curvature: tuple[tuple[int, float, Estimate], ...]
     out_of_plane: Estimate
     torsion_per_mm: Estimate | None
 
     def to_json(self, targets: tuple[str, ...]) -> dict[str, Any]:
-        """Numbers by name; shapes in mm per mm of the table, without the mode's dynamic amplification."""
-        sd = np.sqrt(np.maximum(np.diag(self.shape.covariance), 0.0)).reshape(len(targets), -1)
+        """Numbers by name; `SCALING` says how shapes are scaled."""
         return {
             "frequency_hz": self.mode.frequency_hz,
             "sd_frequency_hz": self.mode.sd_frequency_hz,
             "damping": self.mode.damping,
             "sd_damping": self.mode.sd_damping,
             "p_value": self.mode.p_value,
-            "shape": {
-                name: {"value": value.tolist(), "sd": error.tolist()}
-                for name, value, error in zip(targets, self.shape.vectors.real, sd, strict=True)
-            },
+            "shape": _shape_json(self.shape, self.complex_shape, targets),
+            "mpc": asdict(self.collinearity),
+            "sections": [asdict(one) for one in self.sections],
+            "curvature": [
+                {"member": member, "height_mm": height, "value": one.value, "sd": one.sd}
+                for member, height, one in self.curvature
+            ],
             "nodes": [{"member": one.member, "height_mm": one.height_mm, "sd_mm": one.sd_mm} for one in self.nodes],
             "antinodes": [
                 {"member": one.member, "height_mm": one.height_mm, "sd_mm": one.sd_mm} for one in self.antinodes
@@ -75,6 +105,22 @@ class ModeReport:
             if self.torsion_per_mm is None
             else {"value": self.torsion_per_mm.value, "sd": self.torsion_per_mm.sd},
         }
+
+
+def _shape_json(shape: ModeShape, complex_shape: ModeShape | None, targets: tuple[str, ...]) -> dict[str, Any]:
+    """Displacements of each target with sd; imaginary parts where there are any."""
+    sd = _spread(shape).reshape(len(targets), -1)
+    parts = {"value": shape.vectors.real, "sd": sd}
+    if complex_shape is not None:
+        size = len(complex_shape.values) // 2
+        spread = _spread(complex_shape)[size:].reshape(len(targets), -1)
+        parts |= {"imag": complex_shape.vectors.imag, "sd_imag": spread}
+    return {name: {part: rows[place].tolist() for part, rows in parts.items()} for place, name in enumerate(targets)}
+
+
+def _spread(shape: ModeShape) -> FloatArray:
+    result: FloatArray = np.sqrt(np.maximum(np.diag(shape.covariance), 0.0))
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +153,7 @@ class CampaignModes:
     def to_json(self) -> dict[str, Any]:
         """The object that `labdaemon modes --json` prints."""
         return {
+            "scaling": SCALING,
             "modes": [one.to_json(self.targets) for one in self.modes],
             "transmissibility": self.transmissibility.to_json(),
             "next_hz": self.next_hz,
@@ -143,7 +190,7 @@ def modes_of(campaign: CampaignResponse, *, most_readings: int | None = None) ->
     if found.fit is None or not found.modes:
         return CampaignModes(fitted.series.targets, (), ratio, None, notes)
     state = state_of(found.fit, fitted.positions_mm, fitted.series.targets)
-    reports = tuple(_report(state, index, mode) for index, mode in enumerate(found.modes))
+    reports = tuple(_report(state, found.fit, index, mode) for index, mode in enumerate(found.modes))
     return CampaignModes(fitted.series.targets, reports, ratio, _next(fitted, found), notes, found.fit)
 
 
@@ -165,16 +212,21 @@ def _most_different(campaign: CampaignResponse, most_readings: int) -> CampaignR
     )
 
 
-def _report(state: ModalState, index: int, mode: Mode) -> ModeReport:
+def _report(state: ModalState, fitted: ModalFit, index: int, mode: Mode) -> ModeReport:
     size = state.shapes[index].size
     part = slice(2 * state.modes + index * size, 2 * state.modes + (index + 1) * size)
     shape = ModeShape(state.shapes[index].ravel(), state.covariance[part, part], state.positions_mm)
+    whole = ModeShape.of(fitted, mode.index, state.positions_mm).turned_real()
     sections = section_motions(shape)
     return ModeReport(
         mode,
         shape,
         tuple(nodes(shape)),
         tuple(antinodes(shape)),
+        whole if whole.is_complex else None,
+        mpc(whole),
+        tuple(sections),
+        tuple(curvature(shape)),
         share_along(shape, 1),
         sections[-1].torsion_per_mm if sections else None,
     )

@@ -13,7 +13,7 @@ from labdaemon.errors import ConfigError, DataError
 from labdaemon.findings import ResponseSeries
 from labdaemon.findings.envelope_series import UNKNOWN_TABLE_SD, MeasuredStep, envelope_series
 from labdaemon.findings.response import BoolArray, FloatArray
-from labdaemon.processing import RESULTS, is_positive, read_csv, table_motion
+from labdaemon.processing import RESULTS, CaptureFacts, capture_facts, is_positive, read_csv, table_motion
 from labdaemon.tomlfile import read_toml
 
 
@@ -72,7 +72,7 @@ def read_campaign(folder: Path, results: Path | None = None) -> CampaignResponse
         raise DataError(f"is no table of envelopes ({exc})", file=path) from None
     if not rows:
         raise DataError("has no envelopes: the campaign is empty", file=path)
-    return _assemble(folder, rows, _captures(folder))
+    return _assemble(folder, rows, _captures(folder), capture_facts(folder))
 
 
 def _captures(folder: Path) -> dict[str, dict[str, Any]]:
@@ -91,7 +91,10 @@ def _captures(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _assemble(
-    folder: Path, rows: dict[str, dict[str, TargetEnvelope]], about: dict[str, dict[str, Any]]
+    folder: Path,
+    rows: dict[str, dict[str, TargetEnvelope]],
+    about: dict[str, dict[str, Any]],
+    facts: dict[str, CaptureFacts],
 ) -> CampaignResponse:
     known = [name for name in rows if about.get(name, {}).get("frequency_hz")]
     notes = []
@@ -99,7 +102,7 @@ def _assemble(
         notes.append(f"{folder.name}: {len(rows) - len(known)} of {len(rows)} captures state no frequency; left out")
     if not known:
         raise DataError("no capture states its frequency_hz in capture.toml: nothing can be compared", file=folder)
-    steps = [_step(about[name], rows[name]) for name in known]
+    steps = [_step(about[name], rows[name], facts[name].is_phase_known) for name in known]
     found = envelope_series(steps)
     if found.left_out:
         listed = ", ".join(f"{count} {name}" for name, count in found.left_out.most_common())
@@ -110,9 +113,11 @@ def _assemble(
     return CampaignResponse(folder, found.series, found.positions_mm, found.directions, tuple(notes))
 
 
-def _step(about: dict[str, Any], targets: dict[str, TargetEnvelope]) -> MeasuredStep:
+def _step(about: dict[str, Any], targets: dict[str, TargetEnvelope], is_signed: bool) -> MeasuredStep:
     frequency_hz, table = float(about["frequency_hz"]), table_motion(about)
     if table is None:
-        return MeasuredStep(frequency_hz, targets)
+        return MeasuredStep(frequency_hz, targets, is_signed=is_signed)
     relative_sd = table.sd_mm / table.amplitude_mm
-    return MeasuredStep(frequency_hz, targets, table.amplitude_mm, relative_sd, table.phase_rad, table.sd_phase_rad)
+    return MeasuredStep(
+        frequency_hz, targets, table.amplitude_mm, relative_sd, table.phase_rad, table.sd_phase_rad, is_signed
+    )

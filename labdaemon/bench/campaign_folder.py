@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomli_w
 
-from labdaemon.findings import ResponseSeries
+from labdaemon.findings import PhaseReference, ResponseSeries
 from labdaemon.findings.response import FloatArray
 from labdaemon.processing import ENVELOPE_COLUMNS, Row, write_csv
 
@@ -22,7 +23,7 @@ def write_campaign(
     rotation: FloatArray | None = None,
     directions: str = "xyz",
 ) -> Path:
-    """Write `results/envelope.csv` and each capture's `capture.toml`.
+    """Write `results/envelope.csv` and each capture's `capture.toml`; steps with phase state coded light.
 
     Parameters
     ----------
@@ -40,17 +41,21 @@ def write_campaign(
     rows: list[Row] = []
     for step in range(series.steps):
         name = f"{step:04d}"
-        about = {
+        is_signed = series.phase is not PhaseReference.TARGET or bool(series.signed_steps()[step])
+        about: dict[str, Any] = {
             "frequency_hz": float(series.frequency_hz[step]),
             "excitation_amplitude_mm": float(series.table_mm[step]),
         }
+        if is_signed:
+            about |= {"light": [1, 1, 1, 0, 1, 0, 0], "light_phase_rad": 0.0, "light_cycles": 8}
         path = folder / "captures" / name
         path.mkdir(parents=True, exist_ok=True)
         (path / "capture.toml").write_text(tomli_w.dumps(about), encoding="utf-8")
         for place, target in enumerate(series.targets):
             vector = turn @ series.amplitude[step, place]
             a, b = vector.real, vector.imag
-            a, b = (one if one[np.argmax(np.abs(one))] >= 0 else -one for one in (a, b))
+            if not is_signed:  # semi-axes have no sign of their own
+                a, b = (one if one[np.argmax(np.abs(one))] >= 0 else -one for one in (a, b))
             row: Row = {"capture": name, "target": target, "residual_ratio": None, "flags": [], "sign": None}
             for number, axis in enumerate("xyz"):
                 is_there = axis in directions

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from labdaemon.findings.propagation import Estimate
+
+
+def _with_sd(one: Estimate) -> str:
+    return f"{one.value:.5f} ± {one.sd:.5f}"
 
 
 @click.command()
@@ -29,6 +37,7 @@ def modes(folder: Path, as_json: bool) -> None:
         click.echo(
             f"{mode.frequency_hz:.4f} ± {mode.sd_frequency_hz:.4f} Hz, damping {100 * mode.damping:.3f} ± "
             f"{100 * mode.sd_damping:.3f} %, nodes at {nodes}, out of plane {100 * one.out_of_plane.value:.1f} %"
+            + ("" if one.complex_shape is None else f", phase collinearity {_with_sd(one.collinearity)}")
         )
     if not found.modes:
         click.echo("no mode")

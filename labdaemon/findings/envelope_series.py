@@ -34,6 +34,8 @@ class MeasuredStep:
         Amplitude of the table, zero to peak, and its relative standard deviation.
     phase_rad, sd_phase_rad
         Phase of the table against the excitation's reference; None where no gauge saw it.
+    is_signed
+        Whether vectors have phases (coded light, known opening phases); None where only the vectors themselves show it.
     """
 
     frequency_hz: float
@@ -42,6 +44,7 @@ class MeasuredStep:
     sd_table: float = UNKNOWN_TABLE_SD
     phase_rad: float | None = None
     sd_phase_rad: float | None = None
+    is_signed: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +73,7 @@ def envelope_series(steps: Sequence[MeasuredStep]) -> EnvelopeSeries:
     """Arrange envelopes; rows with a flag other than ``at_rest`` are left out.
 
     Where every envelope carries phases (known opening phases, coded light), they refer to the table if a gauge saw its
-    phase, else to the step. Otherwise each target has a phase of its own.
+    phase, else to the step. Otherwise each target has a phase of its own, except at the steps that carry phases.
     """
     names = tuple(sorted({target for step in steps for target in step.targets}))
     counts: Counter[str] = Counter()
@@ -92,10 +95,16 @@ def envelope_series(steps: Sequence[MeasuredStep]) -> EnvelopeSeries:
             sd_real[row, place] = one.sd_a_mm
             sd_imag[row, place] = np.where(np.isfinite(one.sd_b_mm), one.sd_b_mm, one.sd_a_mm)
             at_rest[row, place] = Flag.AT_REST in one.flags
-    if _is_signed(amplitude):
-        phase, amplitude, sd_phase = _phases(amplitude, steps)
-    else:
-        phase, amplitude, sd_phase = PhaseReference.TARGET, _along_axes(amplitude), np.full(len(steps), np.inf)
+    signed = np.array(
+        [
+            _shows_phase(rows) if step.is_signed is None else step.is_signed
+            for step, rows in zip(steps, amplitude, strict=True)
+        ]
+    )
+    phase_rad, sd_phase = _table_phases(steps)
+    turned = amplitude * np.exp(-1j * phase_rad)[:, None, None]
+    amplitude = np.where(signed[:, None, None], turned, _along_axes(amplitude))
+    phase = _reference(signed, sd_phase)
     series = ResponseSeries(
         np.array([step.frequency_hz for step in steps]),
         amplitude,
@@ -107,22 +116,24 @@ def envelope_series(steps: Sequence[MeasuredStep]) -> EnvelopeSeries:
         at_rest,
         names,
         sd_phase,
+        signed if signed.any() and phase is PhaseReference.TARGET else None,
     )
     return EnvelopeSeries(series, _mean_positions(position), np.isfinite(sd_real).any(axis=(0, 1)), counts)
 
 
-def _phases(amplitude: ComplexArray, steps: Sequence[MeasuredStep]) -> tuple[PhaseReference, ComplexArray, FloatArray]:
-    """What phases refer to, amplitudes in that reference, and (K,) sd of the table's phase.
-
-    Where a gauge saw the table's phase in every capture, phases refer to the table; else each step has a phase of its
-    own, as the drive's phase against the excitation's reference is not known.
-    """
+def _table_phases(steps: Sequence[MeasuredStep]) -> tuple[FloatArray, FloatArray]:
+    """(K,) phase of the table against the excitation's reference, and its sd: infinite where no gauge saw it well."""
     phase = np.array([0.0 if one.phase_rad is None else one.phase_rad for one in steps])
     sd = np.array([np.inf if one.sd_phase_rad is None else one.sd_phase_rad for one in steps])
-    sd = np.where(sd < LARGEST_PHASE_SD, sd, np.inf)
-    if not np.isfinite(sd).all():
-        return PhaseReference.STEP, amplitude, np.full(len(sd), np.inf)
-    return PhaseReference.TABLE, amplitude * np.exp(-1j * phase)[:, None, None], sd
+    is_known = sd < LARGEST_PHASE_SD
+    return np.where(is_known, phase, 0.0), np.where(is_known, sd, np.inf)
+
+
+def _reference(signed: BoolArray, sd_phase: FloatArray) -> PhaseReference:
+    """What phases refer to where all steps show them; else amplitudes are what all have."""
+    if not signed.all():
+        return PhaseReference.TARGET
+    return PhaseReference.TABLE if np.isfinite(sd_phase).all() else PhaseReference.STEP
 
 
 def _mean_positions(position: FloatArray) -> FloatArray:
@@ -131,20 +142,17 @@ def _mean_positions(position: FloatArray) -> FloatArray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _is_signed(amplitude: ComplexArray) -> bool:
-    """Whether every capture carries a phase: its vectors are then not the semi-axes in their fixed order and sign."""
-    is_signed = []
-    for step in amplitude:
-        value = step[np.isfinite(step).all(axis=1)]
-        if not len(value):
-            continue
-        a, b = value.real, value.imag
-        size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-        slanted = np.abs(np.sum(a * b, axis=1)) > RIGHT_ANGLE * size + 1e-5 * np.linalg.norm(a, axis=1)
-        largest = np.take_along_axis(a, np.argmax(np.abs(a), axis=1)[:, None], axis=1)[:, 0]
-        longer = np.linalg.norm(b, axis=1) > np.linalg.norm(a, axis=1) + 1e-5
-        is_signed.append(bool(np.any(slanted | (largest < 0) | longer)))
-    return bool(is_signed) and all(is_signed)
+def _shows_phase(amplitude: ComplexArray) -> bool:
+    """Whether the vectors (T, 3) of a step are not semi-axes in their fixed order and sign: they carry phases."""
+    value = amplitude[np.isfinite(amplitude).all(axis=1)]
+    if not len(value):
+        return False
+    a, b = value.real, value.imag
+    size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    slanted = np.abs(np.sum(a * b, axis=1)) > RIGHT_ANGLE * size + 1e-5 * np.linalg.norm(a, axis=1)
+    largest = np.take_along_axis(a, np.argmax(np.abs(a), axis=1)[:, None], axis=1)[:, 0]
+    longer = np.linalg.norm(b, axis=1) > np.linalg.norm(a, axis=1) + 1e-5
+    return bool(np.any(slanted | (largest < 0) | longer))
 
 
 def _along_axes(amplitude: ComplexArray) -> ComplexArray:

@@ -23,6 +23,7 @@ from labdaemon.findings.modal_fit import ModalFit, add_residual_term, fit, initi
 from labdaemon.findings.phase_retrieval import fit_with_signs, with_residues
 from labdaemon.findings.pole_search import DAMPINGS, PoleCandidate, PoleScan
 from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
+from labdaemon.findings.signed_steps import with_signed_steps, without_signs
 
 SIGNIFICANCE = 1e-3
 """Probability that a band without a mode shows one."""
@@ -103,6 +104,8 @@ def find_modes(
     is_real
         Whether residues are real (proportional damping); None: where phases are unknown.
     """
+    if series.signed is not None and series.phase is PhaseReference.TARGET:
+        return _with_signs(series, form, residual_terms, band_hz, most)
     usable = int(series.valid().any(axis=(1, 2)).sum())
     if usable < LEAST_STEPS:
         return ModeSearch((), (f"{usable} steps with results: at least {LEAST_STEPS} are needed",), None)
@@ -115,6 +118,20 @@ def find_modes(
     problem = ModalProblem.of(series, basis, real)
     search = _Search(problem, PoleScan.of(series, basis), (low, high), is_noise_known)
     return search.run(most, RESIDUAL_TERMS[-1] if residual_terms is None else residual_terms)
+
+
+def _with_signs(
+    series: ResponseSeries, form: ModeForm, residual_terms: int | None, band_hz: tuple[float, float] | None, most: int
+) -> ModeSearch:
+    """Search by amplitudes, then fit the steps that show phase by their vectors."""
+    found = find_modes(
+        without_signs(series), form=form, residual_terms=residual_terms, band_hz=band_hz, most=most, is_real=True
+    )
+    if found.fit is None or not found.modes or not series.signed_steps().any():
+        return found
+    fitted, reason = with_signed_steps(found.fit, series)
+    modes = _modes_of(fitted, found.modes[0].p_value)
+    return ModeSearch(modes, (*found.reasons, reason) if reason else found.reasons, fitted)
 
 
 @dataclass(slots=True)

@@ -24,6 +24,8 @@ MINOR_AXIS_SDS = 3.0
 
 LEAST_PHASE_SD = 1e-6
 """Radians; an exact phase among others that are not."""
+FIXED = 1e12
+"""Weight of a phase that does not move."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +82,8 @@ class ModalProblem:
         Whether residues and residual terms are real (proportional damping), as amplitudes alone require.
     is_noise_known
         False where the standard deviations are estimates from the residuals.
+    is_background_real
+        Whether residual terms are real where residues are complex: few steps show phase.
     """
 
     series: ResponseSeries
@@ -91,6 +95,7 @@ class ModalProblem:
     counted_imag: BoolArray
     is_real: bool
     is_noise_known: bool = True
+    is_background_real: bool = False
 
     def scaled(self, factor: float) -> ModalProblem:
         """The problem with all standard deviations multiplied by an estimate of the noise."""
@@ -110,8 +115,9 @@ class ModalProblem:
         sd_imag = np.where(valid, series.sd_imag, 1.0)
         squared, counted = np.zeros(series.amplitude.shape[:2], bool), valid
         if series.phase is PhaseReference.TARGET:
-            squared = series.resting()
-            small = np.abs(value.imag) < MINOR_AXIS_SDS * sd_imag
+            axes = ~series.signed_steps()[:, None]  # steps whose vectors are semi-axes
+            squared = series.resting() & axes
+            small = (np.abs(value.imag) < MINOR_AXIS_SDS * sd_imag) & axes[:, :, None]
             sd_imag = np.where(small, np.hypot(sd_imag, value.imag), sd_imag)
             value = np.where(small & ~squared[:, :, None], value.real.astype(complex), value)
             counted = valid & ~small & ~squared[:, :, None]
@@ -137,13 +143,19 @@ class ModalProblem:
     @property
     def has_step_phases(self) -> bool:
         """Whether the steps' phases are parameters: unknown, or known with an error."""
-        series = self.series
-        return series.phase is not PhaseReference.TARGET and bool(np.any(series.sd_phase() > 0))
+        return bool(np.any(self.signed & (self.series.sd_phase() > 0)))
+
+    @property
+    def signed(self) -> BoolArray:
+        """(K,) steps whose targets have phases relative to each other."""
+        if self.series.phase is not PhaseReference.TARGET:
+            return np.ones(self.series.steps, bool)
+        return self.series.signed_steps()
 
     @property
     def unknown_phases(self) -> int:
         """Number of steps whose phase nothing determines beforehand."""
-        return int(np.count_nonzero(np.isinf(self.series.sd_phase()))) if self.has_step_phases else 0
+        return int(np.count_nonzero(np.isinf(self.series.sd_phase()) & self.signed)) if self.has_step_phases else 0
 
     def predict(self, parameters: ModalParameters) -> ComplexArray:
         """(T, K, D) responses, mm, without an unknown phase."""
@@ -170,7 +182,10 @@ class ModalProblem:
         """(T, K, D, L) derivatives by the linear parameters, in the order direction, column, part."""
         targets, steps, directions = self.observed.shape
         parts = np.array([1.0]) if self.is_real else np.array([1.0, 1j])
-        each = (columns[:, :, None] * parts).reshape(steps, -1)
+        split = columns[:, :, None] * parts
+        if self.is_background_real:
+            split[:, : self.basis.residual_terms, 1:] = 0.0
+        each = split.reshape(steps, -1)
         local = np.zeros((steps, directions, directions, each.shape[1]), complex)
         for direction in range(directions):
             local[:, direction, direction] = each
@@ -204,10 +219,12 @@ class ModalProblem:
         forward = np.sum(weight * np.conj(predicted) * observed, axis=2, keepdims=True)
         backward = np.sum(weight * np.conj(predicted) * np.conj(observed), axis=2, keepdims=True)
         is_back = np.abs(backward) > np.abs(forward)
+        is_back &= ~self.signed[None, :, None]
         best = np.where(is_back, np.conj(backward), forward)
         # The principal axes keep their sd when the orbit runs backwards, so the prediction is mirrored, not the data.
+        is_turned = (np.abs(best) > 0) & ~self.signed[None, :, None]
         return np.where(is_back, np.conj(observed), observed), np.where(
-            np.abs(best) > 0, np.where(is_back, backward, forward) / np.maximum(np.abs(best), 1e-300), 1.0
+            is_turned, np.where(is_back, backward, forward) / np.maximum(np.abs(best), 1e-300), 1.0
         )
 
     def _weigh(
@@ -223,7 +240,7 @@ class ModalProblem:
         residual = _rows(observed - predicted, weights)
         jacobians = [_rows(local, weights[..., None]), _rows(shared, weights[..., None])]
         if self.series.phase is PhaseReference.TARGET:
-            normal = _rows(1j * predicted, weights)
+            normal = _rows(1j * predicted, weights) * ~self.signed[None, :, None]
             length2 = np.maximum(np.sum(normal**2, axis=2), 1e-300)
             residual = residual - normal * (np.sum(normal * residual, axis=2) / length2)[..., None]
             jacobians = [
@@ -276,9 +293,10 @@ class ModalProblem:
             sd = np.maximum(self.series.sd_phase(), LEAST_PHASE_SD)
             is_known = np.isfinite(sd)
             each = np.where(is_known, 1.0 / sd**2, 0.0)
-            if not (self.is_real or is_known.any()):
+            if not (self.is_real or self.is_background_real or is_known[self.signed].any()):
                 # One step's phase is the reference: a turn of all phases and all residues together changes nothing.
-                each[0] = 1e12
+                each[int(np.argmax(self.signed))] = FIXED
+            each[~self.signed] = FIXED
             weight.append(each)
             known.append(np.where(is_known, -parameters.phase_rad, 0.0))
         return np.concatenate(weight), np.concatenate(known)

@@ -190,9 +190,11 @@ def _moved(problem: ModalProblem, at: ModalParameters, shared: FloatArray, local
 def _freedom(problem: ModalProblem, at: ModalParameters) -> int:
     rows = int(np.count_nonzero(problem.weight_real) + np.count_nonzero(problem.counted_imag))
     if problem.series.phase is PhaseReference.TARGET:
-        rows -= int(np.count_nonzero(problem.counted_imag.any(axis=2)))  # one unknown phase each
+        own_phase = problem.counted_imag.any(axis=2) & ~problem.signed[None, :]
+        rows -= int(np.count_nonzero(own_phase))
     targets, directions, columns = at.coefficients.shape
-    linear = targets * directions * columns * (1 if problem.is_real else 2)
+    fixed = problem.basis.residual_terms if problem.is_background_real else 0
+    linear = targets * directions * (columns if problem.is_real else 2 * columns - fixed)
     return int(rows - linear - 2 * at.modes - problem.unknown_phases)
 
 
@@ -206,8 +208,9 @@ def refit(fitted: ModalFit, series: ResponseSeries) -> ModalFit:
         gain=np.concatenate([before.gain, more]),
         phase_rad=np.concatenate([before.phase_rad, more]),
     )
-    if problem.has_step_phases and series.phase is PhaseReference.STEP:
-        start = replace(start, phase_rad=_best_phases(problem, start))
+    if problem.has_step_phases:
+        is_free = np.isinf(series.sd_phase()) & problem.signed
+        start = replace(start, phase_rad=np.where(is_free, _best_phases(problem, start), start.phase_rad))
     return fit(problem, start)
 
 

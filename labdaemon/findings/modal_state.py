@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from labdaemon.findings.modal_fit import ModalFit
 from labdaemon.findings.mode_shape import mac_value
-from labdaemon.findings.response import FloatArray, PhaseReference
+from labdaemon.findings.response import FloatArray
 
 SAME_MODE_MAC = 0.3
 SAME_MODE_LOG_HZ = 0.35
@@ -123,7 +123,7 @@ def state_of(fitted: ModalFit, positions_mm: FloatArray, targets: tuple[str, ...
 def _target_signs(fitted: ModalFit) -> FloatArray:
     """(T,) signs that let all targets ride the table the same way, where amplitudes alone leave each its own sign."""
     coefficients = fitted.parameters.coefficients
-    if fitted.problem.series.phase is not PhaseReference.TARGET or not fitted.problem.basis.residual_terms:
+    if fitted.problem.signed.any() or not fitted.problem.basis.residual_terms:
         return np.ones(len(coefficients))
     constant = coefficients[:, :, 0].real
     vector = np.linalg.eigh(constant.T @ constant)[1][:, -1]

@@ -66,6 +66,18 @@ class ModeShape:
         largest = float(self.values[np.argmax(np.abs(self.values))])
         return ModeShape(self.values / largest, self.covariance / largest**2, self.positions_mm, self.is_complex)
 
+    def turned_real(self) -> ModeShape:
+        """A complex shape at the phase at which most of it is real; a real one as it is."""
+        if not self.is_complex:
+            return self
+        vector = as_complex(self.values, True)
+        angle = 0.5 * np.angle(np.sum(vector**2))
+        turned = vector * np.exp(-1j * angle)
+        cos, sin = np.cos(angle) * np.eye(len(vector)), np.sin(angle) * np.eye(len(vector))
+        jacobian = np.block([[cos, sin], [-sin, cos]])
+        values = np.concatenate([turned.real, turned.imag])
+        return ModeShape(values, jacobian @ self.covariance @ jacobian.T, self.positions_mm, True)
+
     def along_rows(self, targets: NDArray[np.intp], direction: FloatArray) -> FloatArray:
         """(m, n) rows that take the component of some targets along a direction (real parts)."""
         dimension = len(direction)

@@ -104,6 +104,7 @@ def _candidate_steps(
         sd_table=np.full(len(frequency), sd_table),
         at_rest=None,
         sd_phase_rad=np.full(len(frequency), float(np.median(series.sd_phase()))),
+        signed=None,
     )
     zero = np.zeros(len(frequency))
     parameters = replace(fitted.parameters, gain=zero, phase_rad=zero)
@@ -124,6 +125,9 @@ def joined(first: ResponseSeries, second: ResponseSeries) -> ResponseSeries:
         at_rest=np.concatenate([first.resting(), second.resting()]),
         targets=first.targets,
         sd_phase_rad=np.concatenate([first.sd_phase(), second.sd_phase()]),
+        signed=None
+        if first.signed is None and second.signed is None
+        else np.concatenate([first.signed_steps(), second.signed_steps()]),
     )
 
 

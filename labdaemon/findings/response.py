@@ -53,6 +53,9 @@ class ResponseSeries:
         (K, T) where the amplitude is below the detection limit, so that only its square has a normal error.
     targets
         Names, T of them.
+    signed
+        (K,) steps of a series without phase whose targets have phases relative to each other all the same: coded light
+        or a phase group among captures of whole cycles under constant light. None: no step.
     sd_phase_rad
         (K,) standard deviation of the table's own phase at each step, common to all targets; infinite where nothing
         shows it. None: 0 with phases that refer to the table, infinite without.
@@ -68,6 +71,7 @@ class ResponseSeries:
     at_rest: BoolArray | None = None
     targets: tuple[str, ...] = field(default=())
     sd_phase_rad: FloatArray | None = None
+    signed: BoolArray | None = None
 
     def __post_init__(self) -> None:
         """Check shapes.
@@ -117,6 +121,10 @@ class ResponseSeries:
             return self.sd_phase_rad
         return np.full(self.steps, 0.0 if self.phase is PhaseReference.TABLE else FREE_PHASE_RAD)
 
+    def signed_steps(self) -> BoolArray:
+        """(K,) `signed`, nowhere where it was not given."""
+        return np.zeros(self.steps, bool) if self.signed is None else self.signed
+
     def subset(self, steps: NDArray[np.intp] | BoolArray) -> ResponseSeries:
         """The same targets at some of the steps."""
         return replace(
@@ -129,6 +137,7 @@ class ResponseSeries:
             sd_table=self.sd_table[steps],
             at_rest=None if self.at_rest is None else self.at_rest[steps],
             sd_phase_rad=None if self.sd_phase_rad is None else self.sd_phase_rad[steps],
+            signed=None if self.signed is None else self.signed[steps],
         )
 
     def with_targets(self, indices: NDArray[np.intp]) -> ResponseSeries:

@@ -12,6 +12,7 @@ from labdaemon.bench.campaign_folder import write_campaign
 from labdaemon.bench.shear_structure import Instrument, ShearStructure
 from labdaemon.cli.main import cli
 from labdaemon.errors import DataError
+from labdaemon.findings import PhaseReference
 
 STRUCTURE = ShearStructure(per_column=5)
 NAMES = tuple(f"{side}{i + 1:02d}" for side in "LR" for i in range(5))
@@ -40,6 +41,13 @@ def test_modes_of_a_sweep(campaign: Path) -> None:
     top = first["shape"]["L05"]
     expected = STRUCTURE.residues()[4, 0, 0]
     assert abs(top["value"][0]) == pytest.approx(expected, abs=0.01)
+    assert first["mpc"] == {"value": 1.0, "sd": 0.0, "bias": 0.0}
+    assert len(first["sections"]) == 5
+    assert first["sections"][-1]["sway_x"]["value"] == pytest.approx(
+        np.mean([first["shape"][name]["value"][0] for name in ("L05", "R05")])
+    )
+    assert all(one["sd"] > 0 for one in second["curvature"])
+    assert "participation factor" in found["scaling"]
     assert first["out_of_plane"]["value"] < 1e-3
     assert abs(first["torsion_per_mm"]["value"]) < 5 * first["torsion_per_mm"]["sd"]
     assert 4.0 <= found["next_hz"] <= 18.0
@@ -68,3 +76,22 @@ def test_a_folder_without_results(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli, ["modes", str(tmp_path)])
     assert isinstance(result.exception, DataError)
     assert result.exception.exit_status == 2
+
+
+def test_coded_light_gives_complex_shapes(tmp_path: Path) -> None:
+    """All captures show phase, and a gauge on the table its own: a lag of 0.2 rad of the drive is taken out."""
+    frequency = np.geomspace(4.0, 18.0, 26)
+    series = Instrument(phase=PhaseReference.TABLE).measure(STRUCTURE, frequency, np.random.default_rng(1))
+    lagging = replace(series, targets=NAMES, amplitude=series.amplitude * np.exp(-0.2j))
+    folder = write_campaign(tmp_path / "c", lagging, STRUCTURE.positions_mm())
+    for path in folder.glob("captures/*/capture.toml"):
+        amplitude = float(path.read_text().split("excitation_amplitude_mm = ")[1].split()[0])
+        gauge = f"amplitude_mm = {amplitude}\nsd_amplitude_mm = {0.002 * amplitude}\n"
+        gauge += "phase_rad = -0.2\nsd_phase_rad = 0.005\n"
+        path.write_text(path.read_text() + '\n[gauges.bed]\nrole = "table"\n' + gauge)
+    result = CliRunner().invoke(cli, ["modes", str(folder), "--json"], catch_exceptions=False)
+    first = json.loads(result.stdout)["modes"][0]
+    assert first["frequency_hz"] == pytest.approx(STRUCTURE.modes()[0][0], rel=5e-4)
+    assert first["shape"]["L05"]["value"][0] == pytest.approx(STRUCTURE.residues()[4, 0, 0], abs=0.01)
+    assert abs(first["shape"]["L05"]["imag"][0]) < 5 * first["shape"]["L05"]["sd_imag"][0]
+    assert 1 - first["mpc"]["value"] < 5 * first["mpc"]["sd"] + 1e-6
