@@ -19,7 +19,7 @@ from labdaemon.findings.bordered import BlockSystem
 from labdaemon.findings.modal_basis import ModalBasis
 from labdaemon.findings.response import BoolArray, ComplexArray, FloatArray, PhaseReference, ResponseSeries
 
-MINOR_AXIS_SDS = 3.0
+MINOR_AXIS_SDS = 4.0
 """Minor semi-axes below so many sd are magnitudes of noise: their sign is not known, and their mean is 0."""
 
 LEAST_PHASE_SD = 1e-6
