@@ -13,7 +13,7 @@ from labdaemon.errors import DataError
 from labdaemon.findings import PhaseReference, find_modes
 from labdaemon.findings.common_scale import CommonChange
 from labdaemon.findings.comparison import Comparison, Difference, as_json, compare_states, with_notes
-from labdaemon.findings.deflection import common_steps, compare_deflections, masked_directions
+from labdaemon.findings.deflection import LEAST_COMPONENTS, common_steps, compare_deflections, masked_directions
 from labdaemon.findings.modal_state import ModalState, state_of
 from labdaemon.findings.similarity import Similarity, fit_similarity
 
@@ -158,6 +158,12 @@ def _state(one: CampaignResponse) -> ModalState | None:
 
 def _deflections(first: CampaignResponse, second: CampaignResponse, explained: list[CommonChange]) -> Comparison:
     found = compare_deflections(first.series, second.series)
+    if found is None and common_steps(first.series, second.series):
+        raise DataError(
+            f"shares frequencies with {first.folder}, but both measured fewer than {LEAST_COMPONENTS} components of the "
+            "same targets, and too few frequencies for modes: nothing can be compared",
+            file=second.folder,
+        )
     if found is None:
         raise DataError(
             f"has no frequency in common with {first.folder}, and too few for modes: nothing can be compared",

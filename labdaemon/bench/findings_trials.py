@@ -21,6 +21,7 @@ from labdaemon.findings import (
 )
 from labdaemon.findings.closed_loop import ResonanceGoal, decide, first_sweep
 from labdaemon.findings.comparison import Comparison, compare_states
+from labdaemon.findings.modal_fit import response_of
 from labdaemon.findings.modal_state import ModalState, state_of
 from labdaemon.findings.similarity import fit_similarity
 
@@ -74,9 +75,14 @@ def run_resonance(seed: int, goal: ResonanceGoal | None = None) -> tuple[Resonan
     goal = goal or ResonanceGoal(BAND_HZ)
     series = instrument.measure(structure, first_sweep(goal.band_hz), rng)
     fitted: ModalFit | None = None
+
+    def expected_table(known: ModalFit, frequency_hz: FloatArray) -> FloatArray:
+        """The rule by which the instrument sets the table, with what is known of the structure so far."""
+        return instrument.table_at(response_of(known, frequency_hz))
+
     while True:
         decision = decide(
-            series, fitted, goal, sd_mm=instrument.sd_mm, sd_table=instrument.sd_table, table_mm=instrument.table_mm / 8
+            series, fitted, goal, sd_mm=instrument.sd_mm, sd_table=instrument.sd_table, table_mm=expected_table
         )
         fitted = decision.fit
         if decision.frequency_hz is None:

@@ -120,6 +120,11 @@ class Instrument:
     table_mm: float = 2.0
     phase: PhaseReference = PhaseReference.TARGET
 
+    def table_at(self, response: ComplexArray) -> FloatArray:
+        """(K,) amplitude of the table, mm, for a response (K, T, D) per millimetre of it."""
+        result: FloatArray = np.minimum(self.table_mm, self.largest_mm / np.abs(response).max(axis=(1, 2)))
+        return result
+
     def measure(
         self, structure: ShearStructure, frequency_hz: FloatArray, rng: np.random.Generator, level: float = 1.0
     ) -> ResponseSeries:
@@ -132,7 +137,7 @@ class Instrument:
         """
         frequency = np.asarray(frequency_hz, float)
         response = structure.response(frequency)
-        table = level * np.minimum(self.table_mm, self.largest_mm / np.abs(response).max(axis=(1, 2)))
+        table = level * self.table_at(response)
         true = table * (1 + self.sd_table * rng.normal(size=len(frequency)))
         noise = rng.normal(size=(2, *response.shape)) * self.sd_mm
         amplitude = response * true[:, None, None] + noise[0] + 1j * noise[1]

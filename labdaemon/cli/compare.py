@@ -47,8 +47,8 @@ def compare(baseline: Path, other: Path, levels_mm: str | None, same_scale: bool
         click.echo(
             f"  mode {one.frequency_hz:.4f} Hz -> {one.other_hz:.4f} Hz: {100 * one.shift:+.4f} ± "
             f"{100 * one.sd_shift:.4f} % (z {one.z_shift:+.1f}), damping {100 * one.damping_change:+.1f} ± "
-            f"{100 * one.sd_damping_change:.1f} % (z {one.z_damping_change:+.1f}), MAC {one.mac.value:.5f} ± "
-            f"{one.mac.sd:.5f} (z {one.mac.z:+.1f})"
+            f"{100 * one.sd_damping_change:.1f} % (z {one.z_damping_change:+.1f}), MAC {one.mac.value:.6f} ± "
+            f"{one.mac.sd:.6f} (z {one.mac.z:+.1f})"
         )
         for node in one.node_shifts:
             if abs(node.z) > SHOWN_Z:

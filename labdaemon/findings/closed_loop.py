@@ -17,7 +17,7 @@ from scipy import stats
 from labdaemon.findings.find_modes import SIGNIFICANCE, find_modes, unusable_pole
 from labdaemon.findings.linearise import ModalProblem
 from labdaemon.findings.modal_basis import ModalBasis, ModeForm
-from labdaemon.findings.modal_fit import ModalFit, initial_parameters, refit
+from labdaemon.findings.modal_fit import ModalFit, initial_parameters, refit, response_of
 from labdaemon.findings.next_frequency import candidate_frequencies, next_frequency
 from labdaemon.findings.phase_retrieval import fit_with_signs, with_residues
 from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
@@ -94,15 +94,17 @@ def decide(
     known
         The fit of the last decision, to continue from; None: search.
     sd_mm, sd_table, table_mm
-        Expected of the next step; the table's amplitude may depend on the model and the frequency.
+        Expected of the next step. The table's amplitude is a number, or a rule that gives it at each frequency: near a
+        resonance a table moves less than it can.
     """
+    level = SIGNIFICANCE / goal.most_steps  # the question is asked after each step
     fitted = _continue(series, known, goal)
     if fitted is None:
         found = find_modes(series, band_hz=goal.band_hz)
         fitted = found.fit
     if series.steps >= goal.most_steps:
         return SweepDecision(None, fitted, f"{series.steps} steps are as many as were allowed")
-    if fitted is None or not is_explained(fitted):
+    if fitted is None or not is_explained(fitted, level):
         return SweepDecision(near_misfit(series, fitted), fitted, "the model does not explain all steps")
     if not fitted.modes:
         if len(series.frequency_hz) < 2 * len(first_sweep(goal.band_hz)):
@@ -139,10 +141,7 @@ def fit_poles(series: ResponseSeries, frequency_hz: FloatArray, damping: FloatAr
 
 def largest_response(fitted: ModalFit, frequency_hz: FloatArray) -> FloatArray:
     """(F,) largest semi-amplitude of any target over the table's, as the model predicts it."""
-    at = fitted.parameters
-    columns = fitted.problem.basis.columns(np.asarray(frequency_hz, float), at.frequency_hz, at.damping)
-    response = np.einsum("kp,tdp->ktd", columns, at.coefficients)
-    result: FloatArray = np.max(np.linalg.norm(response, axis=2), axis=1)
+    result: FloatArray = np.max(np.linalg.norm(response_of(fitted, frequency_hz), axis=2), axis=1)
     return result
 
 
@@ -152,12 +151,19 @@ def _continue(series: ResponseSeries, known: ModalFit | None, goal: ResonanceGoa
         return None
     fitted = refit(known, series)
     is_sound = not any(unusable_pole(fitted, index, goal.band_hz) for index in range(fitted.modes))
-    return fitted if is_sound and is_explained(fitted) else None
+    return fitted if is_sound and is_explained(fitted, SIGNIFICANCE / goal.most_steps) else None
 
 
-def is_explained(fitted: ModalFit) -> bool:
-    """Whether the residuals are no larger than the noise."""
-    return fitted.freedom <= 0 or bool(stats.chi2.sf(fitted.chi2, fitted.freedom) > SIGNIFICANCE)
+def is_explained(fitted: ModalFit, level: float = SIGNIFICANCE) -> bool:
+    """Whether the residuals are no larger than the noise.
+
+    Parameters
+    ----------
+    level
+        Probability of a false answer: a sweep that asks after each step divides it by their number, or it ends in
+        looking for modes that are not there.
+    """
+    return fitted.freedom <= 0 or bool(stats.chi2.sf(fitted.chi2, fitted.freedom) > level)
 
 
 def near_misfit(series: ResponseSeries, fitted: ModalFit | None) -> float:

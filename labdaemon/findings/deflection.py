@@ -21,6 +21,9 @@ SAME_FREQUENCY = 2e-3
 DEFLECTION_FLOOR = 5e-3
 """Systematic part of a component, of the step's largest: remaining transients, orientation, harmonics."""
 
+LEAST_COMPONENTS = 4
+"""Measured components of a step: a scale and the table's motion are taken out, and something must be left to test."""
+
 
 @dataclass(frozen=True, slots=True)
 class DeflectionDifference:
@@ -82,7 +85,7 @@ def compare_deflections(baseline: ResponseSeries, other: ResponseSeries) -> Defl
     for i, j in pairs:
         one, two = _major_axes(baseline, i), _major_axes(other, j)
         seen = np.isfinite(one[1]) & np.isfinite(two[1])
-        if np.count_nonzero(seen) < 4:
+        if np.count_nonzero(seen) < LEAST_COMPONENTS:
             continue
         sign = np.where(np.sum(np.where(seen, one[0] * two[0], 0), axis=1) < 0, -1.0, 1.0)[:, None]
         first, second = one[0][seen], (two[0] * sign)[seen]

@@ -16,7 +16,7 @@ import numpy as np
 
 from labdaemon.findings.bordered import BlockCovariance, BlockSystem
 from labdaemon.findings.linearise import ModalParameters, ModalProblem
-from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
+from labdaemon.findings.response import ComplexArray, FloatArray, PhaseReference, ResponseSeries
 
 ITERATIONS = 60
 CONVERGED = 1e-9
@@ -107,6 +107,14 @@ class ModalFit:
         local = np.concatenate([self.local_rows(column, part) for part in range(self.parts)])
         shared = np.zeros((len(local), len(self.covariance.shared)))
         return stacked, self.scale * self.covariance.joint(shared, local)
+
+
+def response_of(fitted: ModalFit, frequency_hz: FloatArray) -> ComplexArray:
+    """(G, T, D) motion of all targets per motion of the table that a fit predicts at frequencies (G,)."""
+    at = fitted.parameters
+    columns = fitted.problem.basis.columns(np.asarray(frequency_hz, float), at.frequency_hz, at.damping)
+    result: ComplexArray = np.einsum("gb,tdb->gtd", columns, at.coefficients)
+    return result
 
 
 def initial_parameters(problem: ModalProblem, frequency_hz: FloatArray, damping: FloatArray) -> ModalParameters:

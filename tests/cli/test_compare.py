@@ -143,6 +143,24 @@ def test_one_camera_against_two(campaign: Callable[..., Path]) -> None:
     assert any("only the directions x, z are compared" in note for note in found["notes"])
 
 
+def test_one_camera_against_two_over_a_sweep(campaign: Callable[..., Path]) -> None:
+    other = campaign("b", STRUCTURE.with_stiffness(2, 0.98), seed=2, directions="xz")
+    found = compare(campaign("a"), other, "--levels-mm", "190,380,570,760")
+    assert found["findings"][0]["where"].startswith("storey 3")
+    assert any("only the directions x, z are compared" in note for note in found["notes"])
+    assert len(found["modes"]) == 3
+    assert set(found["modes"][0]) >= {"z_shift", "z_damping_change", "z_mac"}
+    assert found["comac"]["L04"].keys() == {"value", "sd", "expected", "z"}
+    assert found["modes"][1]["node_shifts"][0].keys() == {"member", "height_mm", "shift_mm", "sd_mm", "z"}
+
+
+def test_too_few_targets_in_common_are_said(campaign: Callable[..., Path]) -> None:
+    names = ("L01", *(f"Q{i}" for i in range(7)))
+    error = refused(campaign("a", frequency=DWELLS), campaign("b", frequency=DWELLS, seed=2, names=names))
+    assert "shares frequencies" in str(error)
+    assert "fewer than 4 components" in str(error)
+
+
 def test_moved_targets_are_said(campaign: Callable[..., Path], tmp_path: Path) -> None:
     series = Instrument().measure(STRUCTURE, DWELLS, np.random.default_rng(2))
     positions = STRUCTURE.positions_mm()
