@@ -160,8 +160,8 @@ def _deflections(first: CampaignResponse, second: CampaignResponse, explained: l
     found = compare_deflections(first.series, second.series)
     if found is None and common_steps(first.series, second.series):
         raise DataError(
-            f"shares frequencies with {first.folder}, but both measured fewer than {LEAST_COMPONENTS} components of the "
-            "same targets, and too few frequencies for modes: nothing can be compared",
+            f"shares frequencies with {first.folder}, but both measured fewer than {LEAST_COMPONENTS} components of "
+            "the same targets, and too few frequencies for modes: nothing can be compared",
             file=second.folder,
         )
     if found is None:
