@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.correlation_text import covariance_of
+from labdaemon.correlations import MOTION, POSITION, correlations_in, covariance_of
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 from labdaemon.named_sequence import NamedSequence
@@ -47,8 +47,8 @@ class TargetEnvelope:
         Residual of the second-best solution divided by that of the best one; None where nothing was to be decided.
     flags
         Statements about this target, empty when all is well.
-    correlation
-        Correlations of the nine numbers, as `envelope.csv` has them; None where they are not known.
+    correlations
+        Of the position and of the motion, by the name of their column in `envelope.csv`; empty where not known.
     """
 
     target: str
@@ -60,15 +60,20 @@ class TargetEnvelope:
     sd_b_mm: FloatArray
     residual_ratio: float | None = None
     flags: frozenset[Flag] = field(default_factory=frozenset)
-    correlation: str | None = None
+    correlations: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def covariance_mm2(self) -> FloatArray:
-        """(9, 9) covariance of x, y, z of `mean_mm`, of `a_mm` and of `b_mm`, mm²; NaN where there is no sd.
+    def covariance_mean_mm2(self) -> FloatArray:
+        """(3, 3) covariance of `mean_mm`, mm²; NaN where there is no sd, diagonal where correlations are not known."""
+        return self._covariance()[POSITION, POSITION]
 
-        Diagonal where correlations are not known.
-        """
-        return covariance_of(np.concatenate([self.sd_mean_mm, self.sd_a_mm, self.sd_b_mm]), self.correlation)
+    @property
+    def covariance_motion_mm2(self) -> FloatArray:
+        """(6, 6) covariance of `a_mm`, then `b_mm`, mm²; NaN where there is no sd, diagonal likewise."""
+        return self._covariance()[MOTION, MOTION]
+
+    def _covariance(self) -> FloatArray:
+        return covariance_of(np.concatenate([self.sd_mean_mm, self.sd_a_mm, self.sd_b_mm]), self.correlations)
 
     @property
     def amplitude_mm(self) -> float:
@@ -86,7 +91,7 @@ class TargetEnvelope:
             return math.nan
         left, _, right = np.linalg.svd(vectors)
         slope = np.outer(right[0], left[:, 0]).ravel()  # by a, then by b
-        variance = float(slope @ np.nan_to_num(self.covariance_mm2[3:, 3:]) @ slope)
+        variance = float(slope @ np.nan_to_num(self.covariance_motion_mm2) @ slope)
         return math.sqrt(max(variance, 0.0))
 
     def __repr__(self) -> str:
@@ -123,7 +128,7 @@ class TargetEnvelope:
             sd_b,
             residual_ratio=None if ratio is None else float(ratio),
             flags=frozenset(known[flag] for flag in row.get("flags") or () if flag in known),
-            correlation=row["correlation"] if isinstance(row.get("correlation"), str) else None,
+            correlations=correlations_in(row),
         )
 
 

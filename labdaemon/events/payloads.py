@@ -182,9 +182,8 @@ class TargetRow(EventPart):
         Names of `labdaemon.Flag`, empty when all is well; a newer daemon may send others.
     sign
         1 or -1 where the sign of a is known; None where it is not.
-    correlation
-        The 36 correlations of x, y, z of the position, of a and of b, above the diagonal, row by row, separated by
-        spaces; None where they are not known.
+    cor_x_y … cor_by_bz
+        Correlations within x, y, z of the position, and within the components of a and b; None where not known.
     """
 
     target: str
@@ -210,7 +209,24 @@ class TargetRow(EventPart):
     residual_ratio: float | None = None
     flags: tuple[str, ...] = ()
     sign: int | None = None
-    correlation: str | None = None
+    cor_x_y: float | None = None
+    cor_x_z: float | None = None
+    cor_y_z: float | None = None
+    cor_ax_ay: float | None = None
+    cor_ax_az: float | None = None
+    cor_ax_bx: float | None = None
+    cor_ax_by: float | None = None
+    cor_ax_bz: float | None = None
+    cor_ay_az: float | None = None
+    cor_ay_bx: float | None = None
+    cor_ay_by: float | None = None
+    cor_ay_bz: float | None = None
+    cor_az_bx: float | None = None
+    cor_az_by: float | None = None
+    cor_az_bz: float | None = None
+    cor_bx_by: float | None = None
+    cor_bx_bz: float | None = None
+    cor_by_bz: float | None = None
 
 
 class EnvelopeData(EventPart):

@@ -10,6 +10,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from labdaemon.correlations import MOTION, NUMBERS, POSITION
 from labdaemon.envelope import TargetEnvelope
 from labdaemon.export.results import FolderResults
 from labdaemon.findings import amplitude_ratio
@@ -34,10 +35,18 @@ SCALARS = {
     "sd_transmissibility": ("1", "standard deviation of transmissibility, with that of the table's amplitude"),
 }
 """Scalars of a target, (captures, targets), their unit and what they are."""
-COVARIANCE = "covariance_mm2"
-COVARIANCE_MEANING = "covariance of x, y, z of mean_mm, of a_mm and of b_mm, in this order"
-COVARIANCE_AXIS = tuple(f"{name}{axis}_mm" for name in ("", "a", "b") for axis in "xyz")
-"""What the rows and columns of a covariance belong to."""
+COVARIANCES = {
+    "covariance_mean_mm2": (POSITION, "covariance of x, y, z of mean_mm"),
+    "covariance_motion_mm2": (MOTION, "covariance of x, y, z of a_mm, then of b_mm"),
+}
+"""Covariances of a target, (captures, targets, n, n) mm²: which of the nine numbers, and what they are."""
+
+
+def covariance_axis(name: str) -> list[str]:
+    """What the rows and columns of a covariance belong to."""
+    return [f"{number}_mm" for number in NUMBERS[COVARIANCES[name][0]]]
+
+
 PER_CAPTURE = {
     "frequency_hz": ("Hz", "excitation frequency"),
     "excitation_amplitude_mm": ("mm", "amplitude of the table as it was set, zero to peak"),
@@ -68,9 +77,8 @@ class EnvelopeCube:
         `VECTORS` by name, (captures, targets, 3) each, x y z; NaN where not measured.
     scalars
         `SCALARS` by name, (captures, targets) each.
-    covariance_mm2
-        (captures, targets, 9, 9) in the order of `COVARIANCE_AXIS`; NaN where not measured, diagonal where only the
-        standard deviations are known.
+    covariances
+        `COVARIANCES` by name; NaN where not measured, diagonal where only the standard deviations are known.
     flags
         (captures, targets) of text, separated by ``;``; "not_found" where a capture has no row of a target.
     """
@@ -83,7 +91,7 @@ class EnvelopeCube:
     table_phase_rad: FloatArray
     vectors: dict[str, FloatArray]
     scalars: dict[str, FloatArray]
-    covariance_mm2: FloatArray
+    covariances: dict[str, FloatArray]
     flags: TextArray
 
     @classmethod
@@ -101,7 +109,7 @@ class EnvelopeCube:
             np.array([0.0 if one.table is None else one.table.phase_rad or 0.0 for one in results.facts]),
             {name: _stack(rows, targets, attrgetter(name), 3) for name in VECTORS},
             _scalars(rows, targets, per_capture),
-            _stack(rows, targets, lambda one: one.covariance_mm2.ravel(), 81).reshape(len(rows), len(targets), 9, 9),
+            {name: _matrices(rows, targets, name) for name in COVARIANCES},
             np.array([[_flags(row.get(target)) for target in targets] for row in rows], dtype=np.str_),
         )
 
@@ -163,6 +171,12 @@ def _stack(
             if target in row:
                 out[i, j] = value(row[target])
     return out
+
+
+def _matrices(rows: list[dict[str, TargetEnvelope]], targets: tuple[str, ...], name: str) -> FloatArray:
+    size = len(covariance_axis(name))
+    flat = _stack(rows, targets, lambda one: np.ravel(getattr(one, name)), size**2)
+    return flat.reshape(len(rows), len(targets), size, size)
 
 
 def _flags(one: TargetEnvelope | None) -> str:

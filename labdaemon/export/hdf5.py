@@ -1,7 +1,7 @@
 """HDF5: one dataset per quantity, (captures, targets, 3), units as attributes.
 
 Layout: ``/capture/*`` (captures,), ``/target/name`` (targets,), ``/envelope/*`` with x, y, z last,
-``/envelope/covariance_mm2`` (captures, targets, 9, 9). Names of axes are HDF5 dimension scales.
+``/envelope/covariance_*`` (captures, targets, n, n). Names of axes are HDF5 dimension scales.
 """
 
 from __future__ import annotations
@@ -11,15 +11,7 @@ from typing import Any
 
 import h5py
 
-from labdaemon.export.cube import (
-    COVARIANCE,
-    COVARIANCE_AXIS,
-    COVARIANCE_MEANING,
-    PER_CAPTURE,
-    SCALARS,
-    VECTORS,
-    EnvelopeCube,
-)
+from labdaemon.export.cube import COVARIANCES, PER_CAPTURE, SCALARS, VECTORS, EnvelopeCube, covariance_axis
 from labdaemon.export.results import FolderResults
 from labdaemon.version import __version__
 
@@ -46,9 +38,10 @@ def write(results: FolderResults, path: Path) -> None:
             data.dims[2].label = "x, y, z"
         for name, (unit, meaning) in SCALARS.items():
             _describe(file.create_dataset(f"envelope/{name}", data=cube.scalars[name]), unit, meaning)
-        data = file.create_dataset(f"envelope/{COVARIANCE}", data=cube.covariance_mm2, compression="gzip")
-        _describe(data, "mm2", COVARIANCE_MEANING)
-        data.dims[2].label = data.dims[3].label = ", ".join(COVARIANCE_AXIS)
+        for name, (_, meaning) in COVARIANCES.items():
+            data = file.create_dataset(f"envelope/{name}", data=cube.covariances[name], compression="gzip")
+            _describe(data, "mm2", meaning)
+            data.dims[2].label = data.dims[3].label = ", ".join(covariance_axis(name))
         file.create_dataset("envelope/flags", data=cube.flags.astype(object), dtype=text)
         _name_axes(file, names)
 

@@ -27,6 +27,6 @@ def write(results: FolderResults, path: Path) -> None:
         **cube.per_capture,
         **cube.vectors,
         **cube.scalars,
-        "covariance_mm2": cube.covariance_mm2,
+        **cube.covariances,
     }
     savemat(path, {"labdaemon": content}, appendmat=False, do_compression=True, oned_as="column")

@@ -5,15 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdaemon.export.cube import (
-    COVARIANCE,
-    COVARIANCE_AXIS,
-    COVARIANCE_MEANING,
-    PER_CAPTURE,
-    SCALARS,
-    VECTORS,
-    EnvelopeCube,
-)
+from labdaemon.export.cube import COVARIANCES, PER_CAPTURE, SCALARS, VECTORS, EnvelopeCube, covariance_axis
 from labdaemon.export.results import FolderResults
 from labdaemon.version import __version__
 
@@ -36,11 +28,14 @@ def to_dataset(results: FolderResults) -> xr.Dataset:
             name: (pair, cube.scalars[name], {"units": unit, "long_name": meaning})
             for name, (unit, meaning) in SCALARS.items()
         },
-        COVARIANCE: (
-            (*pair, "number", "other_number"),
-            cube.covariance_mm2,
-            {"units": "mm2", "long_name": COVARIANCE_MEANING},
-        ),
+        **{
+            name: (
+                (*pair, _axis(name), f"other_{_axis(name)}"),
+                cube.covariances[name],
+                {"units": "mm2", "long_name": meaning},
+            )
+            for name, (_, meaning) in COVARIANCES.items()
+        },
         "flags": (pair, cube.flags.astype(object)),
         "is_phase_known": ("capture", cube.is_phase_known.astype("i1")),
         "opened_at": ("capture", cube.opened_at.astype(object)),
@@ -49,8 +44,7 @@ def to_dataset(results: FolderResults) -> xr.Dataset:
         "capture": list(cube.captures),
         "target": list(cube.targets),
         "axis": ["x", "y", "z"],
-        "number": list(COVARIANCE_AXIS),
-        "other_number": list(COVARIANCE_AXIS),
+        **{f"{other}{_axis(name)}": covariance_axis(name) for name in COVARIANCES for other in ("", "other_")},
         **{
             name: ("capture", cube.per_capture[name], {"units": unit, "long_name": meaning})
             for name, (unit, meaning) in PER_CAPTURE.items()
@@ -62,6 +56,11 @@ def to_dataset(results: FolderResults) -> xr.Dataset:
         "source": f"labdaemon {__version__}",
     }
     return xr.Dataset(data, coordinates, attributes)
+
+
+def _axis(name: str) -> str:
+    """Name of a covariance's dimension: ``mean`` or ``motion``."""
+    return name.split("_")[1]
 
 
 def write(results: FolderResults, path: Path) -> None:

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from labdaemon.export.cube import COVARIANCE_AXIS, PER_CAPTURE, SCALARS, EnvelopeCube
+from labdaemon.export.cube import COVARIANCES, PER_CAPTURE, SCALARS, EnvelopeCube, covariance_axis
 from labdaemon.export.results import FolderResults
 from labdaemon.version import __version__
 
@@ -21,7 +21,7 @@ _PREFIXES = {"mean_mm": "", "a_mm": "a", "b_mm": "b", "sd_mean_mm": "sd_", "sd_a
 def to_table(results: FolderResults) -> pa.Table:
     """All envelopes as one table, a row per capture and target. Empty numbers are null.
 
-    Covariances are the columns ``cov_x_ax_mm2`` and so on; the variances are the squares of the ``sd_`` columns.
+    Covariances are the columns ``cov_ax_bx_mm2`` and so on; the variances are the squares of the ``sd_`` columns.
     """
     cube = EnvelopeCube.of(results)
     shape = (len(cube.captures), len(cube.targets))
@@ -38,10 +38,10 @@ def to_table(results: FolderResults) -> pa.Table:
             columns[f"{prefix}{letter}_mm"] = (_numbers(cube.vectors[name][..., axis].ravel()), "mm")
     for name, (unit, _) in SCALARS.items():
         columns[name] = (_numbers(cube.scalars[name].ravel()), unit)
-    for i, one in enumerate(COVARIANCE_AXIS):
-        for j, other in enumerate(COVARIANCE_AXIS[:i]):
-            name = f"cov_{other.removesuffix('_mm')}_{one.removesuffix('_mm')}_mm2"
-            columns[name] = (_numbers(cube.covariance_mm2[..., j, i].ravel()), "mm2")
+    for name in COVARIANCES:
+        numbers = [one.removesuffix("_mm") for one in covariance_axis(name)]
+        for i, j in zip(*np.triu_indices(len(numbers), 1), strict=True):
+            columns[f"cov_{numbers[i]}_{numbers[j]}_mm2"] = (_numbers(cube.covariances[name][..., i, j].ravel()), "mm2")
     flags = [text.split(";") if text else [] for text in cube.flags.ravel()]
     columns["flags"] = (pa.array(flags, pa.list_(pa.string())), None)
     fields = [

@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labdaemon.blur import Measurement
-from labdaemon.correlation_text import correlation_text
+from labdaemon.correlations import CORRELATIONS, correlations_of
 from labdaemon.durable import write_durably
 from labdaemon.flags import Flag
 from labdaemon.geometry import ObjectMotion
@@ -27,9 +27,9 @@ _MM = ("x_mm", "y_mm", "z_mm", "ax_mm", "ay_mm", "az_mm", "bx_mm", "by_mm", "bz_
 MEASUREMENT_COLUMNS = ("capture", "camera", "target", *_PX, *(f"sd_{name}" for name in _PX), "flags", "sign")
 ENVELOPE_COLUMNS = (
     *("capture", "target", *_MM, *(f"sd_{name}" for name in _MM)),
-    *("residual_ratio", "flags", "sign", "correlation"),
+    *("residual_ratio", "flags", "sign", *CORRELATIONS),
 )
-_LATER: Row = {"sign": None, "correlation": None}
+_LATER: Row = dict.fromkeys(("sign", *CORRELATIONS))
 """Columns that rows of an older journal lack."""
 
 
@@ -58,19 +58,19 @@ def measurement_row(capture: str, camera: str, measurement: Measurement, sign: i
 def envelope_row(capture: str, target: str, motion: ObjectMotion | None, flags: Iterable[Flag], sign: int = 0) -> Row:
     """One row of `envelope.csv`; `motion` None where the target could not be measured, `sign` 0 where unknown."""
     nothing = np.full(9, np.nan)
-    values, sds, ratio, correlation = nothing, nothing, None, None
+    values, sds, ratio, covariance = nothing, nothing, None, np.full((9, 9), np.nan)
     if motion is not None:
         values = np.concatenate([motion.mean_mm, motion.a_mm, motion.b_mm])
         with np.errstate(invalid="ignore"):
             sds = np.sqrt(np.diag(motion.covariance_mm2))
-        ratio, correlation = motion.residual_ratio, correlation_text(motion.covariance_mm2)
+        ratio, covariance = motion.residual_ratio, motion.covariance_mm2
     row: Row = {"capture": capture, "target": target}
     row.update({name: _number(value) for name, value in zip(_MM, values, strict=True)})
     row.update({f"sd_{name}": _number(value) for name, value in zip(_MM, sds, strict=True)})
     row["residual_ratio"] = None if ratio is None else _number(ratio)
     row["flags"] = _flags(flags)
     row["sign"] = sign or None
-    row["correlation"] = correlation
+    row |= correlations_of(covariance)
     return row
 
 
@@ -119,8 +119,6 @@ def read_csv(path: Path) -> list[Row]:
                     row[column] = text
                 elif column == "flags":
                     row[column] = text.split(";") if text else []
-                elif column == "correlation":
-                    row[column] = text or None
                 else:
                     row[column] = float(text) if text else None
             rows.append(row)

@@ -46,7 +46,8 @@ def envelope_rows(capture: str, count: int = 3) -> list[dict[str, Any]]:
     rows = []
     for index in range(count):
         row: dict[str, Any] = dict.fromkeys(ENVELOPE_COLUMNS, 0.125 * index)
-        rows.append(row | {"capture": capture, "target": f"T{index}", "flags": ["at_rest"] if index == 0 else []})
+        flags = ["at_rest"] if index == 0 else []
+        rows.append(row | {"capture": capture, "target": f"T{index}", "flags": flags})
     return rows
 
 

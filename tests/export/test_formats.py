@@ -28,10 +28,10 @@ def test_hdf5(folder: Path, cube: EnvelopeCube):
         np.testing.assert_array_equal(file["capture/frequency_hz"], [5.0, 8.0, 12.0])
         assert file["envelope/flags"].asstr()[2, 1] == "not_found"
         np.testing.assert_array_equal(file["envelope/transmissibility"], cube.scalars["transmissibility"])
-        covariance = file["envelope/covariance_mm2"]
-        assert covariance[1, 1, 3, 5] == pytest.approx(0.4 * 0.002**2)
-        assert covariance[1, 1, 5, 3] == covariance[1, 1, 3, 5]
-        assert covariance[1, 0, 3, 5] == 0.0
+        covariance = file["envelope/covariance_motion_mm2"]
+        assert covariance[1, 1, 0, 2] == pytest.approx(0.4 * 0.002**2)
+        assert covariance[1, 1, 2, 0] == covariance[1, 1, 0, 2]
+        assert covariance[1, 0, 0, 2] == 0.0
         assert covariance.attrs["units"] == "mm2"
         assert file["envelope/transmissibility"].attrs["units"] == "1"
 
@@ -53,7 +53,7 @@ def test_parquet_by_pandas(folder: Path, cube: EnvelopeCube):
     assert schema.field("sd_ax_mm").metadata == {b"unit": b"mm"}
     assert schema.field("exposure_s").metadata == {b"unit": b"s"}
     assert one["cov_ax_az_mm2"] == pytest.approx(0.4 * 0.002**2)
-    assert one["cov_x_bz_mm2"] == 0.0
+    assert one["cov_ax_bz_mm2"] == 0.0
     assert schema.field("cov_ax_az_mm2").metadata == {b"unit": b"mm2"}
     assert one["transmissibility"] == cube.scalars["transmissibility"][1, 1]
 
@@ -66,9 +66,9 @@ def test_netcdf_by_xarray(folder: Path, cube: EnvelopeCube):
         assert data["a_mm"].attrs["units"] == "mm"
         assert float(data["a_mm"].sel(capture="five", target="T2", axis="x")) == cube.vectors["a_mm"][0, 1, 0]
         assert float(data["frequency_hz"].sel(capture="twelve")) == 12.0
-        covariance = data["covariance_mm2"].sel(capture="eight", target="T2")
-        assert float(covariance.sel(number="ax_mm", other_number="az_mm")) == pytest.approx(0.4 * 0.002**2)
-        assert data["covariance_mm2"].attrs["units"] == "mm2"
+        covariance = data["covariance_motion_mm2"].sel(capture="eight", target="T2")
+        assert float(covariance.sel(motion="ax_mm", other_motion="az_mm")) == pytest.approx(0.4 * 0.002**2)
+        assert data["covariance_mean_mm2"].attrs["units"] == "mm2"
         assert str(data["flags"].sel(capture="twelve", target="T2").item()) == "not_found"
 
 
@@ -79,7 +79,7 @@ def test_matlab_by_scipy(folder: Path, cube: EnvelopeCube):
     np.testing.assert_array_equal(data["a_mm"], cube.vectors["a_mm"])
     np.testing.assert_array_equal(data["complex_amplitude_mm"], cube.complex_amplitude_mm)
     assert list(data["target"]) == list(cube.targets)
-    np.testing.assert_array_equal(data["covariance_mm2"], cube.covariance_mm2)
+    np.testing.assert_array_equal(data["covariance_motion_mm2"], cube.covariances["covariance_motion_mm2"])
     assert data["frequency_hz"].tolist() == [5.0, 8.0, 12.0]
 
 

@@ -30,7 +30,9 @@ def test_columns_are_the_contract_s() -> None:
     )
     assert ",".join(ENVELOPE_COLUMNS) == (
         "capture,target,x_mm,y_mm,z_mm,ax_mm,ay_mm,az_mm,bx_mm,by_mm,bz_mm,sd_x_mm,sd_y_mm,sd_z_mm,"
-        "sd_ax_mm,sd_ay_mm,sd_az_mm,sd_bx_mm,sd_by_mm,sd_bz_mm,residual_ratio,flags,sign,correlation"
+        "sd_ax_mm,sd_ay_mm,sd_az_mm,sd_bx_mm,sd_by_mm,sd_bz_mm,residual_ratio,flags,sign,"
+        "cor_x_y,cor_x_z,cor_y_z,cor_ax_ay,cor_ax_az,cor_ax_bx,cor_ax_by,cor_ax_bz,cor_ay_az,cor_ay_bx,cor_ay_by,"
+        "cor_ay_bz,cor_az_bx,cor_az_by,cor_az_bz,cor_bx_by,cor_bx_bz,cor_by_bz"
     )
 
 
@@ -59,8 +61,8 @@ def test_a_sign_is_the_last_column_and_empty_where_unknown() -> None:
     assert measurement_row("c1", "left", measurement())["sign"] is None
     row = envelope_row("c1", "T01", None, [], 1)
     assert json.dumps(row["sign"]) == "1"
-    del row["sign"], row["correlation"]  # as a journal has it from before there were signs
-    assert csv_text(ENVELOPE_COLUMNS, [row]).splitlines()[1].endswith(",,")
+    old = {name: value for name, value in row.items() if name != "sign" and not name.startswith("cor_")}
+    assert csv_text(ENVELOPE_COLUMNS, [old]).splitlines()[1].endswith(19 * ","), "as a journal had it before"
 
 
 def test_what_was_not_measured_is_empty_never_a_number() -> None:
@@ -69,7 +71,7 @@ def test_what_was_not_measured_is_empty_never_a_number() -> None:
     text = csv_text(MEASUREMENT_COLUMNS, [measurement_row("c1", "left", lost)])
     assert text.splitlines()[1] == "c1,left,T01" + "," * 12 + ",not_found,"
     text = csv_text(ENVELOPE_COLUMNS, [envelope_row("c1", "T01", None, [Flag.NOT_FOUND])])
-    assert text.splitlines()[1] == "c1,T01" + "," * 19 + ",not_found,,"
+    assert text.splitlines()[1] == "c1,T01" + "," * 19 + ",not_found," + "," * 18
 
 
 def test_one_camera_leaves_the_normal_s_sd_empty() -> None:
@@ -81,7 +83,7 @@ def test_one_camera_leaves_the_normal_s_sd_empty() -> None:
     assert (row["sd_x_mm"], row["sd_y_mm"], row["sd_ay_mm"]) == (2.0, None, None)
     assert row["ay_mm"] == 0.0
     assert row["residual_ratio"] is None
-    assert str(row["correlation"]).split()[:2] == ["nan", "0.0000"]
+    assert (row["cor_x_y"], row["cor_x_z"], row["cor_ax_az"]) == (None, 0.0, 0.0)
     json.dumps(row, allow_nan=False)
 
 
@@ -90,7 +92,8 @@ def test_the_covariance_is_in_the_row(tmp_path: Path) -> None:
     motion = ObjectMotion(np.ones(3), np.ones(3), np.zeros(3), root @ root.T, None)
     write_csv(tmp_path / "envelope.csv", ENVELOPE_COLUMNS, [envelope_row("c1", "T01", motion, [])])
     one = TargetEnvelope.from_row(read_csv(tmp_path / "envelope.csv")[0])
-    assert one.covariance_mm2 == pytest.approx(root @ root.T, abs=2e-5)
+    assert one.covariance_mean_mm2 == pytest.approx((root @ root.T)[:3, :3], abs=2e-5)
+    assert one.covariance_motion_mm2 == pytest.approx((root @ root.T)[3:, 3:], abs=2e-5)
 
 
 @settings(max_examples=40, deadline=None)

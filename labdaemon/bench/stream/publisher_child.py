@@ -53,10 +53,7 @@ class BenchOutbox:
 def envelopes(count: int) -> Iterator[EventText]:
     """Envelopes of 360 targets each, as the journal gives them."""
     row = dict.fromkeys(ENVELOPE_COLUMNS, 0.123456) | {"flags": ["at_rest"], "sign": 1, "residual_ratio": None}
-    text = {"correlation": " ".join(["0.1235"] * 36)}
-    targets = [
-        row | text | {"target": f"T{place:03d}", "capture": "00001-steps-12.000hz-01"} for place in range(TARGETS)
-    ]
+    targets = [row | {"target": f"T{place:03d}", "capture": "00001-steps-12.000hz-01"} for place in range(TARGETS)]
     data = json.dumps({"capture": "c", "frequency_hz": 12.0, "targets": targets}, separators=(",", ":"))
     for seq in range(1, count + 1):
         head = f'{{"v":1,"seq":{seq},"at":"2026-01-01T00:00:00Z","kind":"envelope","campaign":"0001","journal":"bench"'
