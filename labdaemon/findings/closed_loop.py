@@ -21,6 +21,7 @@ from labdaemon.findings.modal_fit import ModalFit, initial_parameters, refit, re
 from labdaemon.findings.next_frequency import candidate_frequencies, next_frequency
 from labdaemon.findings.phase_retrieval import fit_with_signs, with_residues
 from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
+from labdaemon.findings.signed_steps import without_signs
 
 CLOSED_RATIO = 1.004
 """Ratio of neighbouring steps below which no mode hides between them."""
@@ -98,6 +99,7 @@ def decide(
         resonance a table moves less than it can.
     """
     level = SIGNIFICANCE / goal.most_steps  # the question is asked after each step
+    series = without_signs(series)  # where only some steps show phase, amplitudes are what the search goes by
     fitted = _continue(series, known, goal)
     if fitted is None:
         found = find_modes(series, band_hz=goal.band_hz)
@@ -132,7 +134,7 @@ def fit_poles(series: ResponseSeries, frequency_hz: FloatArray, damping: FloatAr
     frequency_hz, damping
         (M,) where the poles are nearly.
     """
-    is_real = series.phase is PhaseReference.TARGET
+    is_real, series = series.phase is PhaseReference.TARGET, without_signs(series)
     problem = ModalProblem.of(
         series, ModalBasis.over(series.frequency_hz, ModeForm.BASE_EXCITATION, residual_terms), is_real
     )
