@@ -43,8 +43,8 @@ def note(event, about):
     running = getattr(sys.modules.get("_asyncio"), "_get_running_loop", None)
     if running is None or getattr(busy, "on", False) or threading.current_thread() is not threading.main_thread():
         return
-    if running() is None or str(about).startswith((sys.prefix, sys.base_prefix, SOURCE)):
-        return  # a module that is imported late is no data
+    if running() is None or str(about).startswith((sys.prefix, sys.base_prefix, SOURCE, "/proc/")):
+        return  # a module that is imported late is no data, and what the kernel reports lies on no disk
     busy.on = True
     text = "".join(traceback.format_list(traceback.extract_stack(limit=8)[:-2]))
     os.write(out, f"{event} {about!r}\\n{text}\\n".encode())
