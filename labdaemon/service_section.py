@@ -47,6 +47,8 @@ class ServiceSection(TomlSection):
     on_fault: Written | tuple[Written, ...] | None = None
     """Command that carries faults and pauses to a person: program and arguments, in a list or as in a shell (no shell
     runs it). It reads a JSON object on stdin; a relative path starts at the rig file's folder."""
+    reports: Annotated[bool, Field(strict=True)] = True
+    """Whether the page ``results/index.html`` of a campaign is written when that has ended."""
 
     @property
     def on_fault_command(self) -> tuple[str, ...] | None:

@@ -25,6 +25,7 @@ from labdaemon.errors import DeviceError, InterlockError, StorageUnavailable
 from labdaemon.journal.retention import Retention
 from labdaemon.off_loop import off_loop
 from labdaemon.processing import WorkerPool
+from labdaemon.service.campaign_reports import CampaignReports
 from labdaemon.service.config import RigConfig, plan_rig
 from labdaemon.service.daemon import DaemonContext
 from labdaemon.service.devices import camera_overrides
@@ -76,6 +77,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
 
     publisher = EventPublisher(config.service.events, context.journal, status, context.clock, context.doors.events)
     hook = _fault_hook(context, start.place)
+    reports = CampaignReports(context.journal, context.data) if config.service.reports else None
 
     servers = SideServers(config, context.commands.dispatcher.answer, context.journal)
     recorder = Recorder(
@@ -83,7 +85,7 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         ThreadExecutor("journal"),
         ThreadExecutor("data disk"),
         ThreadExecutor("plans"),
-        observers=[publisher, servers, *([] if hook is None else [hook])],
+        observers=[publisher, servers, *(one for one in (hook, reports) if one is not None)],
     )
     pool = WorkerPool(config.processing.workers, deadline_s=config.processing.deadline_s)
     try:
@@ -103,6 +105,8 @@ async def serve(context: DaemonContext, start: StartupSequence) -> int:
         start.checks |= _checks(engine)
         context.deferred.serve(handlers(engine, submitted, status, rig), context.journal)
         engine.reporter.observer = hook
+        if reports is not None:
+            start.parts.append(asyncio.create_task(supervise("reports", reports.run, context.clock)))
         return await _run_parts(context, engine, start, hook)
     finally:
         publisher.close()

@@ -48,7 +48,8 @@ def until(condition: Callable[[], bool], timeout_s: float = 120.0) -> None:
         time.sleep(0.05)
 
 
-def test_a_shaking_table_comes_to_rest_when_it_is_told_to_end(run, rig):
+def test_a_shaking_table_comes_to_rest_when_it_is_told_to_end(run, rig, config: Path, tmp_path: Path):
+    config.write_text(config.read_text().replace("reports = false", "reports = true"))
     daemon = run().ready()
     daemon.ask("campaign.submit", toml=STEPS)
     until(lambda: rig.table()["moving"])
@@ -64,6 +65,7 @@ def test_a_shaking_table_comes_to_rest_when_it_is_told_to_end(run, rig):
     until(lambda: "campaign.completed" in kinds())
     until(lambda: again.ask("status")["campaign"] is None)
     assert kinds().count("campaign.completed") == 1
+    until(lambda: any((tmp_path / "data").glob("campaigns/*/results/index.html")))
     assert again.end(signal.SIGINT)[0] == 130
 
 

@@ -22,6 +22,7 @@ def rig_toml(
     data: str = "../data/sim",
     control_file: str = "sim-control.csv",
     targets_file: str = "sim-targets.csv",
+    reports: bool = True,
 ) -> str:
     """Text of a rig file.
 
@@ -37,10 +38,12 @@ def rig_toml(
         The daemon's addresses and folder.
     control_file, targets_file
         Where `RigSpec.control_csv` and `RigSpec.targets_csv` are written, in the rig file's folder.
+    reports
+        Whether the daemon writes the page of each campaign that ends.
     """
     table = spec.table
     sections = [
-        _section("[service]", events=events, commands=commands, data=data),
+        _section("[service]", events=events, commands=commands, data=data, **({} if reports else {"reports": False})),
         "[shaker]\n" + _lines(driver="scpi", port=ports["shaker"]) + _drive(table.calibration()),
         _section(
             "[shaker.limits]",

@@ -112,7 +112,10 @@ class RunningRig:
         return dict(changed)
 
     def write_files(self, folder: Path, *, events: str, commands: str, data: str) -> Path:
-        """Write the rig file that reaches this rig, with its survey, into a folder; returns the rig file's path."""
+        """Write the rig file that reaches this rig, with its survey, into a folder; returns the rig file's path.
+
+        The daemon writes no page of a campaign then: who runs a simulated rig compares with what it did.
+        """
         reached = {"backend": self.addresses.backend, "backend_url": self.addresses.backend_url}
         return write_rig_files(
             folder,
@@ -122,6 +125,7 @@ class RunningRig:
             events=events,
             commands=commands,
             data=data,
+            reports=False,
         )
 
     def close(self) -> None:
