@@ -41,11 +41,18 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
     if not frame_set.shows_phase or not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
     unrefined = solution
+    # Near rest the phase does not show and the sd has no bound: a step may leave the paths that the model represents.
+    longest_px = _max_amplitude_px(frame_set, unrefined.p)
     for _ in range(GLS.frame_steps):
         before = solution
         solution = _step_frames(frame_set, before, transfer_factory)
         away = np.abs(solution.p - unrefined.p)
         if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance)))):
+            return unrefined
+        motion = slice(frame_set.first_motion, None)
+        if not np.linalg.norm(solution.p[motion]) <= longest_px:
+            return unrefined
+        if not np.linalg.eigvalsh(solution.covariance[motion, motion])[0] > 0:
             return unrefined
         step = np.abs(solution.p - before.p)
         if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance))):

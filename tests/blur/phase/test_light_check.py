@@ -17,6 +17,7 @@ from labdaemon.blur import (
     named_code,
 )
 from labdaemon.blur.motion import LightScore
+from labdaemon.flags import Flag
 
 SEVEN = named_code("1110100")
 RADIUS, SIZE = 10.0, 55
@@ -74,3 +75,20 @@ def test_targets_add_up() -> None:
     one = LightScore(information, information @ [0.15, 0.0, 0.0])
     assert not is_light_mismatch([one])
     assert is_light_mismatch([one] * 10)
+
+
+def test_targets_near_rest_are_measured_under_coded_light(area, sharp) -> None:
+    """The phase does not show there, and the last step of the fit has no bound: it must not leave the model's paths."""
+    window = ExposureWindow(5.0, 1.0, light=LightCode(SEVEN, 0.0, 5, sd_ambient=0.02))
+    for seed, (ax, ay) in enumerate([(0.0, 0.0), (0.1, -0.05)]):
+
+        def path(t, ax=ax, ay=ay):
+            return ax * np.sin(2 * np.pi * t), ay * np.sin(2 * np.pi * t)
+
+        noise = 90 + 2 * seed
+        frame = area.render(area.Scene(radius_px=RADIUS), (SIZE, SIZE), (27.0, 27.0), path, seed=noise, samples=20)
+        guess = [InitialGuess(np.array([27.0, 27.0]))]
+        one = measure_group(sharp, [frame], [window], defocus=Defocus(0.0, 0.01), initial_guesses=guess)
+        assert one.flags == {Flag.AT_REST}
+        assert one.amplitude_px < 1.0
+        assert np.isfinite(one.covariance_px2).all()
