@@ -273,7 +273,10 @@ def _flags(seen: Mapping[str, Measurement], motion: ObjectMotion | None, *, came
     flags = {flag for one in used.values() for flag in one.flags}
     if motion is None:
         return (flags - {Flag.AT_REST}) | {Flag.NOT_FOUND}
-    if len(used) > 1 and all(_leaves_twins(one) for one in used.values() if Flag.AMBIGUOUS in one.flags):
+    ambiguous = [one for one in used.values() if Flag.AMBIGUOUS in one.flags]
+    # A camera that hardly shows the phase takes it from one that does.
+    phase_shows = any(one.phased and one.axes is None for one in used.values())
+    if len(used) > 1 and all(_leaves_twins(one) or (one.axes is not None and phase_shows) for one in ambiguous):
         # The cameras together decide between what each one leaves open.
         flags.discard(Flag.AMBIGUOUS)
     flags |= motion.flags
