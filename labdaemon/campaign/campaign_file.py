@@ -249,7 +249,7 @@ class DwellPhase(ShakingPhase):
     kind: Literal["dwell"]
     frequency_hz: PositiveHz | None = None
     at: Literal["peaks"] | None = None
-    """At each natural frequency that the `resonance` phase before it found, instead of `frequency_hz`."""
+    """At each natural frequency that the `resonance` or `sweep` phase before it found, instead of `frequency_hz`."""
     most_peaks: Annotated[int, Field(ge=1, le=100, strict=True)] = 8
     amplitude_mm: Amplitude
     hold_s: Seconds
@@ -300,6 +300,15 @@ class CampaignSection(TomlSection):
     repeats: Repeats = 1
     """How often the whole list of phases runs."""
     phase: Annotated[tuple[AnyPhase, ...], Field(min_length=1, max_length=1000)]
+
+    def leads_to_peaks(self, place: int) -> bool:
+        """Whether a dwell at peaks takes its modes from this phase: no other sweep or search comes before the dwell."""
+        for phase in self.phase[place + 1 :]:
+            if isinstance(phase, ResonancePhase | SweepPhase):
+                return False
+            if isinstance(phase, DwellPhase) and phase.at is not None:
+                return True
+        return False
 
 
 @dataclass(frozen=True, slots=True)

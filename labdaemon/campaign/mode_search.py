@@ -15,7 +15,7 @@ from labdaemon.campaign.measurement_queue import MeasurementQueue
 from labdaemon.campaign.steps import Plan, SearchPlan, Step
 from labdaemon.capture.recorder import Recorder
 from labdaemon.errors import LimitError
-from labdaemon.events import DecisionData, ModeEstimate
+from labdaemon.events import DecisionData, GaugeMotion, ModeEstimate
 from labdaemon.journal import records, transitions
 from labdaemon.journal.decision_records import decisions_of
 from labdaemon.journal.gauge_records import gauges_of
@@ -70,6 +70,8 @@ def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> Deci
     search = plan.searches[step.search]
     if search.source is not None:
         return _next_peak(search, step, list(decisions_of(journal, campaign).values()))
+    if search.sweep is not None:
+        return _end_of_sweep(journal, campaign, search, plan, step)
     # Loaded where it is asked for: the table must be at rest before anything heavy is loaded.
     from labdaemon.findings.envelope_series import envelope_series
 
@@ -82,6 +84,32 @@ def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> Deci
     decided = decisions_of(journal, campaign).values()
     earlier = [one for one in decided if one.search == search.number and one.step < step.index]
     return _next_step(search, step, series, earlier[-1] if earlier else None)
+
+
+def _end_of_sweep(journal: Journal, campaign: str, search: SearchPlan, plan: Plan, end: Step) -> DecisionData:
+    """Modes in the response of a sweep whose steps have all been taken."""
+    from labdaemon.campaign.sweep_peaks import modes_of_sweep, response_motion
+
+    measured: list[MeasuredStep] = []
+    gauges: dict[int, GaugeMotion] = {}
+    for step in plan.steps:
+        if step.phase != search.sweep or step.index >= end.index:
+            continue
+        found = measured_steps(journal, campaign, [step])
+        captures = records.captures(journal, campaign, "measured", step=step.index)
+        seen = response_motion(gauges_of(journal, campaign, captures[-1].name)) if captures else None
+        if found and seen is not None:
+            gauges[len(measured)] = seen
+        measured += found[:1]
+    modes, reason = modes_of_sweep(measured, gauges, search.band_hz)
+    return DecisionData(
+        step=end.index,
+        search=search.number,
+        reason=reason,
+        measured=len(measured),
+        modes=modes,
+        is_reached=bool(modes),
+    )
 
 
 def _next_peak(search: SearchPlan, step: Step, decided: Sequence[DecisionData]) -> DecisionData:

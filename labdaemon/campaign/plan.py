@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,6 +19,7 @@ from labdaemon.campaign.campaign_file import (
     ResonancePhase,
     ShakingPhase,
     SharpPhase,
+    SweepPhase,
 )
 from labdaemon.campaign.excitations import ExcitedPhase, excitations, hold_after_settling_s
 from labdaemon.campaign.light_plan import ImageScale, LightPlan, LitExcitation, lit_shots, plan_light
@@ -161,6 +163,8 @@ class _Planner:
             yield from self.resonance(place, phase)
         elif isinstance(phase, DwellPhase) and phase.at is not None:
             yield from self.peaks(place, phase)
+        elif isinstance(phase, SweepPhase) and self.campaign.section.leads_to_peaks(place):
+            yield from self.sweep_for_peaks(place, phase)
         else:
             yield from self.shaking(place, phase)
 
@@ -191,18 +195,31 @@ class _Planner:
         longest = max((draft.step for draft in first), key=lambda step: step.predicted_s)
         yield from open_steps(longest, number, phase.most_steps - len(first))
 
+    def sweep_for_peaks(self, place: int, phase: SweepPhase) -> Iterator[StepDraft]:
+        """A sweep as it is written, and a last step without captures in which its modes are found."""
+        number, drafts = len(self.searches), list(self.shaking(place, phase))
+        hz = [draft.step.frequency_hz or 0.0 for draft in drafts]
+        sd, mm, settle = math.inf, max(draft.step.amplitude_mm or 0.0 for draft in drafts), phase.settle.value()
+        make_step = partial(self.decided, place, phase)
+        search = SearchPlan(number, (min(hz), max(hz)), sd, sd, len(hz), mm, None, settle, make_step, sweep=place)
+        self.searches.append(search)
+        yield from drafts
+        yield from open_steps(drafts[-1].step, number, 0)
+
     def peaks(self, place: int, phase: DwellPhase) -> Iterator[StepDraft]:
         """A dwell at each mode that the search before it will find; they are checked when they are known."""
         found = [search for search in self.searches if search.source is None]
         if not found:
             key = f"phase[{place}].at"
             raise ConfigError(
-                "needs a phase of kind resonance before it, which finds them", source=self.source, key=key
+                "needs a phase of kind resonance or sweep before it, which finds them", source=self.source, key=key
             )
         for frequency_hz in found[-1].band_hz:
             self.check(place, frequency_hz, phase.amplitude_mm, "at", "amplitude_mm")
         number, hold_s = len(self.searches), phase.hold_s
-        search = replace(found[-1], number=number, most_steps=phase.most_peaks, amplitude_mm=phase.amplitude_mm)
+        search = replace(
+            found[-1], number=number, most_steps=phase.most_peaks, amplitude_mm=phase.amplitude_mm, sweep=None
+        )
         make_step = partial(self.decided, place, phase)
         self.searches.append(replace(search, source=found[-1].number, hold_s=hold_s, make_step=make_step))
         low_hz = found[-1].band_hz[0]
@@ -212,7 +229,7 @@ class _Planner:
     def decided(
         self,
         place: int,
-        phase: ResonancePhase | DwellPhase,
+        phase: ResonancePhase | DwellPhase | SweepPhase,
         step: Step,
         frequency_hz: float,
         amplitude_mm: float,

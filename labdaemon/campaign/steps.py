@@ -116,6 +116,9 @@ class Step:
 class SearchPlan:
     """A search for modes: a series of steps whose first ones are planned and the others decided on the way.
 
+    A sweep that a dwell at peaks follows is one as well: all of its steps are planned, and its modes are decided when
+    it has ended.
+
     Attributes
     ----------
     number
@@ -134,6 +137,8 @@ class SearchPlan:
         Number of the search whose modes are visited one after the other; None for one that finds them itself.
     hold_s
         Time to hold each mode that is visited.
+    sweep
+        Place of the ``[[phase]]`` of kind sweep whose steps are looked at; None for other searches.
     make_step
         An open step with the frequency (Hz), the amplitude (mm) and the hold (s) that were decided, checked against
         the rig as every step; raises `LimitError`.
@@ -150,6 +155,7 @@ class SearchPlan:
     make_step: Callable[[Step, float, float, float], Step]
     source: int | None = None
     hold_s: float = 0.0
+    sweep: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

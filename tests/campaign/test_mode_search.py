@@ -14,11 +14,13 @@ import pytest
 from labdaemon.campaign.measurement_queue import CaptureRows
 from labdaemon.campaign.mode_search import decide_step
 from labdaemon.campaign.open_steps import with_decisions
+from labdaemon.capture.abilities import GaugeRecord
 from labdaemon.clock import SimulatedClock
 from labdaemon.errors import ConfigError, InterlockError
 from labdaemon.events import DecisionData
 from labdaemon.journal import records
 from labdaemon.journal.decision_records import decisions_of
+from labdaemon.testing.gauge import FakeGauge
 from labdaemon.testing.lab import FakeLab, FakeMeasurer
 
 NATURAL_HZ = np.array([6.12, 9.31])
@@ -201,6 +203,72 @@ def test_a_later_dwell_visits_each_mode(simulate, most: int):
         assert visited[-1].is_reached is (most >= len(found.modes) == 2)
         labels = {event.data["capture"] for event in lab.journal.events_after(0, 10_000) if event.kind == "envelope"}
         assert sum("dwell" in label for label in labels) == len(expected)
+
+    simulate(scenario)
+
+
+SWEEP = """
+name = "sweep"
+[[phase]]
+kind = "sharp"
+frames = 1
+[[phase]]
+kind = "sweep"
+frequency_hz = { start = 5.0, stop = 11.0, count = 25, spacing = "log" }
+amplitude_mm = 0.2
+phase_rad = [0.0, 1.5708]
+"""
+
+
+@pytest.mark.parametrize("has_gauge", [True, False])
+def test_a_dwell_visits_the_peaks_of_a_sweep(simulate, monkeypatch: pytest.MonkeyPatch, has_gauge: bool):
+    """From the gauge on the structure, which sees what the third target does; without one from the envelopes."""
+
+    def record(gauge: FakeGauge, *, start_s: float, duration_s: float) -> GaugeRecord:
+        world = gauge.world
+        moved = complex(world.amplitude_mm)
+        if gauge.role == "response":
+            moved = response_mm(world.frequency_hz, world.amplitude_mm)[2, 0] * has_gauge
+        t_s = np.arange(200) * duration_s / 200
+        angle = 2 * np.pi * world.frequency_hz * (t_s + start_s)
+        value = moved.real * np.sin(angle) + moved.imag * np.cos(angle) + 1e-4 * np.sin(1e3 * np.arange(200) ** 2)
+        return GaugeRecord(t_s, value, 1e-3)
+
+    monkeypatch.setattr(FakeGauge, "record", record)
+
+    async def scenario(lab: FakeLab):
+        id = await run_to_end(lab, SWEEP + PEAKS.format(most=5))
+        decisions = decisions_of(lab.journal, id)
+        found = next(one for one in decisions.values() if one.search == 0)
+        assert found.is_reached
+        assert found.frequency_hz is None
+        assert ("gauge" if has_gauge else "envelopes") in found.reason
+        assert [one.frequency_hz for one in found.modes] == pytest.approx(list(NATURAL_HZ), rel=2e-3)
+        visited = [one.frequency_hz for one in decisions.values() if one.search == 1]
+        assert visited == [*(round(one.frequency_hz, 3) for one in found.modes), None]
+        plan = lab.plan(SWEEP + PEAKS.format(most=5))
+        assert decide_step(lab.journal, id, with_decisions(plan, decisions), plan.steps[found.step]) == found
+
+    simulate(scenario)
+
+
+def test_a_sweep_without_peaks_is_said_and_nothing_is_visited(simulate):
+    async def scenario(lab: FakeLab):
+        few = SWEEP.replace("count = 25", "count = 3")
+        id = await run_to_end(lab, few + PEAKS.format(most=5))
+        ends = list(decisions_of(lab.journal, id).values())
+        assert [one.is_reached for one in ends] == [False, False]
+        assert "at least 5 frequencies" in ends[0].reason
+        assert "found no mode" in ends[1].reason
+
+    simulate(scenario)
+
+
+def test_only_a_sweep_that_peaks_follow_ends_in_a_search(simulate):
+    async def scenario(lab: FakeLab):
+        assert not lab.plan(SWEEP).searches
+        both = SWEEP + SWEEP.partition("frames = 1")[2] + PEAKS.format(most=2)
+        assert [one.sweep for one in lab.plan(both).searches] == [2, None]
 
     simulate(scenario)
 
