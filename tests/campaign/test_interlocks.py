@@ -42,8 +42,9 @@ def test_battery_and_card_and_what_a_body_does_not_report():
 
 
 def test_workers():
-    assert interlocks.check_workers(InterlockLimits(), 299.0) is None
-    assert "301 s" in str(interlocks.check_workers(InterlockLimits(), 301.0))
+    limits = InterlockLimits(worker_stall_s=300.0)
+    assert interlocks.check_workers(limits, 299.0) is None
+    assert "301 s" in str(interlocks.check_workers(limits, 301.0))
 
 
 def test_envelopes_in_size_and_at_the_papers_edge():

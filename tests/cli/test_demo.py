@@ -161,7 +161,7 @@ def test_the_whole_demo(tmp_path: Path) -> None:
     assert len(list(folder.glob("captures/*/*.dng"))) == 2
     assert {path.name for path in folder.glob("sharp/*")} == {"left.dng", "right.dng"}
     page = (folder / "results" / "index.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 3  # the set-up, the envelopes, the gauges
     assert "http" not in page
     again = [sys.executable, "-m", "labdaemon", "process", "out", "--out", "again", "--no-overlay"]
     subprocess.run(again, cwd=tmp_path, check=True, capture_output=True, timeout=200)
