@@ -18,6 +18,8 @@ class LightSettings:
     """Rivals of the best in-phase motion from which orbits are followed under coded light. Trial."""
     rival_limit: float = 30.0
     """Excess of cost up to which another motion is reported: cameras together may prefer it. Statistics: e⁻¹⁵."""
+    orbit_px: float = 1.5
+    """Amplitude from which a motion is fitted as an orbit also where no minor axis shows. Trial: its phase shows."""
     same_valley_rad: float = 0.4
     """Difference of phase up to which two minima are one valley, whose covariance holds both. Trial: codes of seven
     sectors make twins from 0.3 rad on, but those nearer than this are one motion for any practical purpose."""

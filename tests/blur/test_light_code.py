@@ -148,6 +148,29 @@ def test_one_image_gives_the_signed_vectors(area, phase: float) -> None:
     assert np.hypot(*axes.a_px) == pytest.approx(3.0, abs=0.05)
 
 
+@pytest.mark.parametrize("ratio", [0.012, -0.02])
+def test_a_thin_orbit_is_within_its_deviations_though_its_minor_axis_does_not_show(area, ratio: float) -> None:
+    """A damped structure's: taken for a straight path it was turned by up to ten of its standard deviations."""
+    scene = area.Scene(radius_px=12.0)
+    sharp = fit_sharp(
+        Dot(36, 36, 12, 12, 0.0, name="t", paper_px=200), [area.render(scene, (72, 72), (36.2, 35.7), seed=1)]
+    )
+    along, across, phase = np.array([7.8, 1.2]), np.array([-1.2, 7.8]), -0.5
+    truth = np.concatenate(
+        (
+            along * np.cos(phase) - ratio * across * np.sin(phase),
+            along * np.sin(phase) + ratio * across * np.cos(phase),
+        )
+    )
+    window = ExposureWindow(5.0, 1.0, light=LightCode(SEVEN, 0.0, 5))
+    image = render_coded(area, scene, SEVEN, truth, 5, 81)
+    guess = [InitialGuess(np.array([40.0, 40.0]))]
+    found = measure_group(sharp, [image], [window], defocus=Defocus(0.0, 0.01), initial_guesses=guess)
+    assert not found.flags
+    away = np.concatenate((found.a_px, found.b_px)) - truth
+    assert away @ np.linalg.solve(found.covariance_px2[2:, 2:], away) < 14  # χ² of four
+
+
 def test_a_symmetric_code_alone_is_ambiguous(area) -> None:
     scene = area.Scene(radius_px=12.0)
     sharp = fit_sharp(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, LightScore
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.candidates import ambient_estimate, weigh_candidates
@@ -90,7 +91,7 @@ class HarmonicFit:
 
 
 def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
-    """Fit an in-phase motion, and an orbit where its minor axis shows.
+    """Fit an in-phase motion, and an orbit where its minor axis shows; under coded light wherever the phase shows.
 
     Parameters
     ----------
@@ -104,7 +105,10 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
     minor = estimate_minor_axis(frame_set, profile)
     one_sided = max(blur.anisotropy_px2 for blur in frame_set.blurs)
     unsure = float(np.hypot(minor.sd_square_px2, one_sided))
-    if orbit and minor.square_px2 > UNCERTAINTY.rest_sds * unsure:
+    # A damped structure moves on thin orbits. Under a code a straight fit turns towards a minor axis of which it knows
+    # nothing: the code weighs sine and cosine differently in each part of the cycle.
+    is_coded_motion = profile.coded and float(np.hypot(*profile.vector)) > LIGHT.orbit_px
+    if orbit and (is_coded_motion or minor.square_px2 > UNCERTAINTY.rest_sds * unsure):
         found = _fit_orbit(frame_set, profile, moment_px2, minor)
     else:
         found = _fit_in_phase(frame_set, profile, moment_px2, minor)
@@ -113,7 +117,9 @@ def fit_harmonic(frame_set: FrameSet, *, orbit: bool = True) -> HarmonicFit:
 
 def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArray, minor: MinorAxis) -> HarmonicFit:
     """The orbit whose minor axis shows, and whether its time-reversed solution fits as well."""
-    best, others, time_reversed = solve_orbit(frame_set, moment_px2, profile, float(np.sqrt(minor.square_px2)))
+    best, others, time_reversed = solve_orbit(
+        frame_set, moment_px2, profile, float(np.sqrt(max(minor.square_px2, minor.size_px**2)))
+    )
     weighed = weigh_candidates(frame_set, [best, *others] if profile.coded else [best], window_orbit_transfer)
     best, refined = weighed.best, weighed.refined
     full = windowed_covariance(refined, frame_set, window_orbit_transfer)
