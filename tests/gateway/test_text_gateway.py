@@ -92,7 +92,7 @@ async def test_envelopes_in_a_line_by_target_as_csv_and_as_json(serve, connect, 
     lines = text.splitlines()
     assert lines[0].startswith("capture,target,x_mm")
     assert lines[1].startswith("manual-000001,P1,1.000000,,,0.500000,0.000000")
-    assert lines[2:] == ['manual-000001,"P""2"' + "," * 21, ""]
+    assert lines[2:] == ['manual-000001,"P""2"' + "," * (lines[0].count(",") - 1), ""]
     await client.send("ENV:JSON?")
     assert (await client.answer()).startswith("#3")
 
