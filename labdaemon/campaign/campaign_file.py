@@ -213,7 +213,7 @@ class SweepPhase(ShakingPhase):
 
 
 class ResonancePhase(ShakingPhase):
-    """A closed-loop sweep: finds the modes of a band and measures where that tells most, until they are known.
+    """A closed-loop sweep: finds the modes of a band, each step where it gives most information, until they are known.
 
     A first sweep over the band comes first; each further frequency is decided from all envelopes so far.
     """

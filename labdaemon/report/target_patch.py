@@ -138,7 +138,7 @@ def _shifted(image: NDArray[np.float32], dx: float, dy: float) -> NDArray[np.flo
 
 
 def _coarse_shift(moved: NDArray[np.float32], blurred: NDArray[np.float32]) -> FloatArray:
-    """Whole pixels by which the blurred target lies beside the model."""
+    """Whole pixels by which the blurred target differs from the model."""
     room = min(SEARCH_PX, min(moved.shape) // 6)
     if room < 1:
         return np.zeros(2)

@@ -236,7 +236,7 @@ class CommandServer:
 def _route(parts: list[bytes]) -> ReturnRoute:
     """The frames that an answer begins with: the client's identity, and all up to an empty one where there is one.
 
-    A REQ has an empty frame before its request; one that tells late answers by a number (``REQ_CORRELATE``) has that
+    A REQ has an empty frame before its request; one that knows late answers by a number (``REQ_CORRELATE``) has that
     number before it, and proxies on the way put theirs in front (https://rfc.zeromq.org/spec/28).
     """
     end = parts.index(b"", 1, -1) + 1 if b"" in parts[1:-1] else 1

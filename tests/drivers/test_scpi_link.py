@@ -14,7 +14,7 @@ IDENTITY = "KEYSIGHT,33500"
 
 
 class Late(WireDevice):
-    """A controller that is on, behind a wire on which answers to an earlier program are still under way."""
+    """A controller that is on, behind a wire on which answers to an earlier program have not arrived yet."""
 
     def __init__(self, late: list[str]) -> None:
         super().__init__()
