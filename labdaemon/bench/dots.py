@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from labdaemon.bench.simulator import renderer
+from labdaemon.bench.simulator import Renderer, renderer
 from labdaemon.blur import Dot, FloatArray, NoiseModel, Patch, SharpTarget, fit_sharp
 
 PX_PER_MM = 24.0 / 6.1
 RADIUS_MM = 4.0
 TEXTURE_MM = 0.3
 MARGIN_PX = 16
+PLAIN_NOISE = NoiseModel(read_dn=7.0 / 8.5, gain_dn=1.0 / 8.5)
+"""Of a D80, without the paper's texture."""
 
 
 class DotBench:
@@ -90,14 +94,33 @@ class DotBench:
             "clutter": 0,
             "seed": 1000 * self._seed + paper,
         }
-        camera = {
-            "image_size": (size, size),
-            "focal_px": (1000.0 * PX_PER_MM, 1000.0 * PX_PER_MM),
-            "principal_point_px": (half + 0.3, half - 0.2),
-            "position_mm": (0.0, -1000.0, 0.0),
-        }
-        motions = {} if motion is None else {"T": motion}
-        image = np.asarray(self._render(scene, camera, motions=motions).mean_dn, np.float64)  # type: ignore[arg-type]
-        image = image + self._rng.normal(size=image.shape) * np.sqrt(NoiseModel(7.0 / 8.5, 1.0 / 8.5).variance(image))
-        row, column = np.indices(image.shape)
-        return Patch(image, np.asarray(2 * (row % 2) + column % 2, np.uint8), np.ones(image.shape, bool), (0, 0))
+        image = render_dot(self._render, scene, half, motion)
+        return mosaic_patch(image + self._rng.normal(size=image.shape) * np.sqrt(PLAIN_NOISE.variance(image)))
+
+
+def render_dot(render: Renderer, scene: Mapping[str, object], half: int, motion: object) -> FloatArray:
+    """Mean grey values (2 half + 1 square) of a scene around one dot, T, as a camera 1 m in front sees it.
+
+    Parameters
+    ----------
+    scene
+        Keys of the renderer's scene.
+    half
+        Pixels from the middle to the edge.
+    motion
+        Of the dot; None at rest.
+    """
+    camera = {
+        "image_size": (2 * half + 1, 2 * half + 1),
+        "focal_px": (1000.0 * PX_PER_MM, 1000.0 * PX_PER_MM),
+        "principal_point_px": (half + 0.3, half - 0.2),
+        "position_mm": (0.0, -1000.0, 0.0),
+    }
+    motions = {} if motion is None else {"T": motion}
+    return np.asarray(render(scene, camera, motions=motions).mean_dn, np.float64)  # type: ignore[arg-type]
+
+
+def mosaic_patch(image: FloatArray) -> Patch:
+    """Grey values as a patch of a colour mosaic, all of it believed."""
+    row, column = np.indices(image.shape)
+    return Patch(image, np.asarray(2 * (row % 2) + column % 2, np.uint8), np.ones(image.shape, bool), (0, 0))

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import click
 import numpy as np
 
+from labdaemon.bench.dots import PLAIN_NOISE, PX_PER_MM, RADIUS_MM, mosaic_patch, render_dot
 from labdaemon.bench.simulator import Renderer, renderer
 from labdaemon.blur import (
     Defocus,
     Dot,
     FloatArray,
     MotionHarmonics,
-    NoiseModel,
     Patch,
     SharpTarget,
     fit_sharp,
@@ -25,9 +25,6 @@ from labdaemon.blur import (
 )
 from labdaemon.periodic_fit import fit_periodic
 
-PX_PER_MM = 24.0 / 6.1
-RADIUS_MM = 4.0
-NOISE = NoiseModel(read_dn=7.0 / 8.5, gain_dn=1.0 / 8.5)
 AMPLITUDES_MM = (0.4, 0.8, 2.0, 5.0)
 GAUGE_NOISE_MM, GAUGE_RATE_HZ, FREQUENCY_HZ = 0.002, 500.0, 5.0
 DIRECTION = np.array([np.cos(0.4), 0.0, np.sin(0.4)])
@@ -102,7 +99,7 @@ def _sharp_target(render: Renderer, rng: np.random.Generator, amplitude_mm: floa
     patch = _photograph(render, rng, amplitude_mm, None)
     middle = (patch.shape[0] - 1) / 2
     dot = Dot(middle, middle, RADIUS_MM * PX_PER_MM, RADIUS_MM * PX_PER_MM, 0.0, name="T")
-    return fit_sharp(dot, [patch], noise=NOISE)
+    return fit_sharp(dot, [patch], noise=PLAIN_NOISE)
 
 
 def _photograph(render: Renderer, rng: np.random.Generator | None, amplitude_mm: float, motion: object) -> Patch:
@@ -111,19 +108,10 @@ def _photograph(render: Renderer, rng: np.random.Generator | None, amplitude_mm:
     sheet = (size + 40) / PX_PER_MM
     target = {"name": "T", "centre_mm": (0.0, 0.0, 0.0), "diameter_mm": 2 * RADIUS_MM, "paper_mm": (sheet, sheet)}
     scene = {"targets": [target], "texture": 0.0, "gradient": (0.0, 0.0), "vignetting": 0.0, "clutter": 0}
-    camera = {
-        "image_size": (size, size),
-        "focal_px": (1000.0 * PX_PER_MM, 1000.0 * PX_PER_MM),
-        "principal_point_px": (half + 0.3, half - 0.2),
-        "position_mm": (0.0, -1000.0, 0.0),
-    }
-    motions = {} if motion is None else {"T": motion}
-    image = np.asarray(render(scene, camera, motions=motions).mean_dn, np.float64)  # type: ignore[arg-type]
+    image = render_dot(render, scene, half, motion)
     if rng is not None:
-        image = image + rng.normal(size=image.shape) * np.sqrt(NOISE.variance(image))
-    row, column = np.indices(image.shape)
-    channel = np.asarray(2 * (row % 2) + column % 2, np.uint8)
-    return Patch(image, channel, np.ones(image.shape, bool), (0, 0))
+        image = image + rng.normal(size=image.shape) * np.sqrt(PLAIN_NOISE.variance(image))
+    return mosaic_patch(image)
 
 
 @click.command("harmonics")
