@@ -6,7 +6,6 @@ measured yet.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from labdaemon.report.overlay import draw_overlay, readable_magnification
 
 WIDTH_PX = 900
 QUALITY = 78
-NICENESS = 15
 """Whatever the daemon measures comes first."""
 
 
@@ -71,7 +69,6 @@ def _rows(results: Path, name: str, capture: str) -> list[Row]:
 def main() -> int:
     """Draw what the command line names; the exit status is 1 where that fails."""
     frame, camera, capture, results = sys.argv[1:]
-    os.nice(NICENESS)
     try:
         image = frame_view(Path(frame), camera, capture, Path(results) if results else None)
     except LabdaemonError as exc:

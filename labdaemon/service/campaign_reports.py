@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
-import signal
-import sys
-from contextlib import suppress
 from pathlib import Path
 
 from labdaemon.capture.paths import campaign_folder
+from labdaemon.child_program import run_module
 from labdaemon.errors import LabdaemonError
 from labdaemon.journal.journal import Journal
 from labdaemon.off_loop import off_loop
@@ -73,28 +70,12 @@ class CampaignReports:
     async def _write(self, folder: Path) -> None:
         if not (folder / RESULTS / "envelope.csv").is_file():
             return  # it ended before its first result
-        words = ("-m", "labdaemon", "report", str(folder))
-        quiet, pipe = asyncio.subprocess.DEVNULL, asyncio.subprocess.PIPE
         try:
-            child = await asyncio.create_subprocess_exec(
-                sys.executable, *words, stdin=quiet, stdout=quiet, stderr=pipe, start_new_session=True
-            )
-        except OSError as exc:
-            log.warning("the report of %s cannot be written: %s; labdaemon report writes it", folder.name, exc)
-            return
-        try:
-            with suppress(OSError):  # it has ended already
-                os.setpriority(os.PRIO_PROCESS, child.pid, NICENESS)
-            async with asyncio.timeout(LONGEST_S):
-                _, complaint = await child.communicate()
+            result = await run_module("labdaemon", "report", str(folder), longest_s=LONGEST_S, niceness=NICENESS)
         except TimeoutError:
             log.warning("the report of %s took longer than %.0f s and was given up", folder.name, LONGEST_S)
-            return
-        finally:
-            if child.returncode is None:
-                with suppress(OSError):  # it ends at this moment
-                    os.killpg(child.pid, signal.SIGKILL)
-                await child.wait()
-        if child.returncode:
-            last = complaint.decode(errors="replace").strip().rpartition("\n")[2]
-            log.warning("the report of %s was not written: %s", folder.name, last[-300:])
+        except OSError as exc:
+            log.warning("the report of %s cannot be written: %s; labdaemon report writes it", folder.name, exc)
+        else:
+            if result.status:
+                log.warning("the report of %s was not written: %s", folder.name, result.complaint)

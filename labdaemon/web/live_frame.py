@@ -7,21 +7,21 @@ while a page looks. Where it may read comes from the journal and from the daemon
 from __future__ import annotations
 
 import asyncio
-import sys
 from pathlib import Path
-from typing import Any
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from labdaemon.child_program import run_module
 from labdaemon.processing import RESULTS
 from labdaemon.stream.command_call import call_command, last_of_kind
 from labdaemon.web.web_context import WebContext
 
 LONGEST_S = 60.0
 """A drawing that takes longer is given up: the card or the network drive does not answer."""
+NICENESS = 15
 MOST_KEPT = 8
 """Drawings in memory, 50 kB each: several pages may look at the same frame."""
 
@@ -75,25 +75,10 @@ class _FrameDrawings:
 
 
 async def _draw(words: tuple[str, ...]) -> bytes:
-    pipe = asyncio.subprocess.PIPE
-    child: Any = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "labdaemon.report.frame_view",
-        *words,
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=pipe,
-        stderr=pipe,
-    )
     try:
-        async with asyncio.timeout(LONGEST_S):
-            image, complaint = await child.communicate()
+        result = await run_module("labdaemon.report.frame_view", *words, longest_s=LONGEST_S, niceness=NICENESS)
     except TimeoutError:
         raise HTTPException(503, f"the frame could not be drawn within {LONGEST_S:.0f} s") from None
-    finally:
-        if child.returncode is None:
-            child.kill()
-    if child.returncode != 0:
-        last = complaint.decode(errors="replace").strip().rpartition("\n")[2]
-        raise HTTPException(503, f"the frame cannot be drawn: {last[-300:]}")
-    return bytes(image)
+    if result.status:
+        raise HTTPException(503, f"the frame cannot be drawn: {result.complaint}")
+    return result.output

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labdaemon.service import campaign_reports
 from labdaemon.service.campaign_reports import CampaignReports
 
 
@@ -41,7 +41,7 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\ncase "$*" in *bad*) echo no >&2; exit 1;; esac\n')
     script.chmod(0o755)
-    monkeypatch.setattr(campaign_reports.sys, "executable", str(script))
+    monkeypatch.setattr(sys, "executable", str(script))
     return tmp_path / "asked"
 
 
@@ -88,7 +88,7 @@ def test_a_program_that_is_not_there_is_a_warning(
     journal: FakeJournal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with_results(tmp_path, "c1")
-    monkeypatch.setattr(campaign_reports.sys, "executable", str(tmp_path / "none"))
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
 
     async def run() -> None:
         await CampaignReports(journal, tmp_path)._write(tmp_path / "campaigns" / "c1")
@@ -106,7 +106,7 @@ def test_a_page_that_is_being_written_ends_with_the_daemon(
         f"#!/bin/sh\necho $$ > {tmp_path}/pid.new; mv {tmp_path}/pid.new {tmp_path}/pid; exec sleep 600\n"
     )
     script.chmod(0o755)
-    monkeypatch.setattr(campaign_reports.sys, "executable", str(script))
+    monkeypatch.setattr(sys, "executable", str(script))
 
     async def run() -> None:
         task = asyncio.create_task(CampaignReports(journal, tmp_path)._write(folder))
