@@ -26,6 +26,7 @@ from itertools import pairwise
 import numpy as np
 
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.quadrature import gauss_legendre
 from labdaemon.errors import UsageError
 
 NAMED_SECTORS = 64
@@ -134,7 +135,7 @@ class LightCode:
             if max(first, last) <= 0 or end <= begin:
                 return
             count = 6 + int(np.ceil((2.5 + 0.8 * max_amplitude_px) * (end - begin)))
-            x, w = np.polynomial.legendre.leggauss(count)
+            x, w = gauss_legendre(count)
             part = (x + 1) / 2
             angles.append(self.phase_rad + begin + (end - begin) * part)
             weights.append(w / 2 * (end - begin) / _FULL_TURN * (first + (last - first) * part))

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 
 from labdaemon.blur.motion import ExposureWindow
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
+from labdaemon.blur.quadrature import gauss_legendre
 from labdaemon.errors import UsageError
 
 
@@ -60,7 +63,7 @@ class MotionWaveform:
     @classmethod
     def triangular(cls, *, nodes: int = 256) -> MotionWaveform:
         """Constant speed to and fro: every place between the ends equally long (Gauss–Legendre nodes)."""
-        values, weight = np.polynomial.legendre.leggauss(nodes)
+        values, weight = gauss_legendre(nodes)
         return cls(values, weight / 2)
 
     @classmethod
@@ -78,6 +81,7 @@ class MotionWaveform:
         return cls._from_samples(samples, np.full(samples.size, 1 / samples.size))
 
 
+@lru_cache(maxsize=64)
 def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[FloatArray, FloatArray]:
     """Sin ωt and cos ωt at the nodes of an exposure, each with its harmonics if there are any, and the nodes' weights.
 
@@ -94,11 +98,11 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
     Returns
     -------
     basis, weight
-        (2, K) sin and cos; (K,).
+        (2, K) sin and cos; (K,). Fits ask for the same ones many times: they are kept, and must not be changed.
     """
     if window.light is None:
         angle, weight = _exposure_nodes(window, _bandwidth(window) * max_amplitude_px)
-        return _basis(window, angle), weight
+        return _kept(_basis(window, angle), weight)
     parts = light_parts(window, max_amplitude_px)
     ambient = window.light.ambient * parts.room_cycles
     (basis, weight), (room_basis, room_weight) = parts.lamp, parts.room
@@ -106,7 +110,7 @@ def window_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Float
         return basis, weight
     total = parts.lamp_cycles + ambient
     weights = np.concatenate((weight * parts.lamp_cycles, room_weight * ambient)) / total
-    return np.concatenate((basis, room_basis), axis=1), weights
+    return _kept(np.concatenate((basis, room_basis), axis=1), weights)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +132,7 @@ class LightParts:
     room_cycles: float
 
 
+@lru_cache(maxsize=64)
 def light_parts(window: ExposureWindow, max_amplitude_px: float) -> LightParts:
     """The lamp's and the room's part of coded light; parameters as for `window_nodes`.
 
@@ -143,11 +148,18 @@ def light_parts(window: ExposureWindow, max_amplitude_px: float) -> LightParts:
     lamp_angle, lamp_weight = window.light.lamp_nodes(max_amplitude_px)
     mean = float(lamp_weight.sum())
     return LightParts(
-        (_basis(window, lamp_angle), lamp_weight / mean),
-        (_basis(window, angle), weight),
+        _kept(_basis(window, lamp_angle), lamp_weight / mean),
+        _kept(_basis(window, angle), weight),
         mean * window.light.cycles,
         window.cycles,
     )
+
+
+def _kept(basis: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Nodes that many fits share: writing to them is an error."""
+    basis.setflags(write=False)
+    weight.setflags(write=False)
+    return basis, weight
 
 
 def _bandwidth(window: ExposureWindow) -> float:
@@ -175,7 +187,7 @@ def _exposure_nodes(window: ExposureWindow, max_amplitude_px: float) -> tuple[Fl
         angles.append(phase + 2 * np.pi * np.arange(count) / count)
         weights.append(np.full(count, whole / cycles / count))
     if rest > 1e-6:
-        nodes, weight = np.polynomial.legendre.leggauss(16 + int(3.5 * max_amplitude_px * min(1.0, 0.3 + rest)))
+        nodes, weight = gauss_legendre(16 + int(3.5 * max_amplitude_px * min(1.0, 0.3 + rest)))
         angles.append(phase + np.pi * rest * (nodes + 1))
         weights.append(weight / 2 * rest / cycles)
     return np.concatenate(angles), np.concatenate(weights)
@@ -202,15 +214,47 @@ def quadrature_transfer(
     """
     pairs = vectors.reshape(-1, 2)
     path = pairs.T @ basis
-    along_x = np.exp(-2j * np.pi * path[0][:, None] * fx[:1])
-    along_y = np.exp(-2j * np.pi * fy[:, :1] * path[1][None, :]) * weight
-    transfer = along_y @ along_x
-    derivatives = np.empty((2 * len(pairs), *fx.shape), dtype=np.complex128)
-    for row, values in enumerate(basis):
-        moment = -2j * np.pi * ((along_y * values) @ along_x)
-        derivatives[2 * row] = fx * moment
-        derivatives[2 * row + 1] = fy * moment
-    return transfer, derivatives
+    moments = _moments(fx, fy, path, np.concatenate((np.ones((1, basis.shape[1])), basis)), weight)
+    derivatives = np.empty((2 * len(pairs), *fx.shape), dtype=moments.dtype)
+    np.multiply(moments[1:], fx, out=derivatives[0::2])
+    np.multiply(moments[1:], fy, out=derivatives[1::2])
+    derivatives *= moments.dtype.type(-2j * np.pi)
+    return moments[0], derivatives
+
+
+def _moments(fx: FloatArray, fy: FloatArray, path: FloatArray, factors: FloatArray, weight: FloatArray) -> ComplexArray:
+    """Sums Σ w_k g_k exp(−2πi f·d_k) over an exposure, in the precision of the grid.
+
+    Parameters
+    ----------
+    path, factors, weight
+        (2, K) displacement d, (n, K) factors g, (K,).
+
+    Returns
+    -------
+    (n, rows, columns)
+    """
+    single = fx.dtype == np.float32
+    along_x, along_y = (
+        _turn((-2 * np.pi * place)[:, None] * frequency, single=single)
+        for place, frequency in zip(path, (fx[0].astype(np.float64), fy[:, 0].astype(np.float64)), strict=True)
+    )
+    weighted = (factors * weight).astype(along_y.real.dtype)[:, None, :] * along_y.T
+    # One product for all: small ones leave the processor waiting.
+    moments: ComplexArray = (weighted.reshape(-1, len(weight)) @ along_x).reshape(len(factors), *fx.shape)
+    return moments
+
+
+def _turn(angle: FloatArray, *, single: bool) -> ComplexArray:
+    """Exp(i·angle); the angle itself needs both words, long paths turn many times."""
+    if not single:
+        exact: ComplexArray = np.exp(1j * angle)
+        return exact
+    whole = (angle - 2 * np.pi * np.rint(angle / (2 * np.pi))).astype(np.float32)
+    result: Any = np.empty(angle.shape, dtype=np.complex64)
+    np.cos(whole, out=result.real)
+    np.sin(whole, out=result.imag)
+    return cast(ComplexArray, result)
 
 
 def in_phase_transfer(
@@ -229,9 +273,8 @@ def in_phase_transfer(
     """
     turn = np.array([[np.cos(motion[2]), np.sin(motion[2])], [-np.sin(motion[2]), np.cos(motion[2])]])
     waveform = turn @ basis
-    along_x = np.exp(-2j * np.pi * motion[0] * waveform[0][:, None] * fx[:1])
-    along_y = np.exp(-2j * np.pi * motion[1] * fy[:, :1] * waveform[0][None, :]) * weight
-    moment = -2j * np.pi * ((along_y * waveform[0]) @ along_x)
-    later = -2j * np.pi * ((along_y * waveform[1]) @ along_x)
-    by_phase = (motion[0] * fx + motion[1] * fy) * later
-    return along_y @ along_x, np.stack((fx * moment, fy * moment, by_phase))
+    path = motion[:2, None] * waveform[0]
+    still, moment, later = _moments(fx, fy, path, np.stack((np.ones_like(weight), *waveform)), weight)
+    slopes = np.stack((fx * moment, fy * moment, (motion[0] * fx + motion[1] * fy).astype(fx.dtype) * later))
+    slopes *= slopes.dtype.type(-2j * np.pi)
+    return still, slopes
