@@ -30,6 +30,9 @@ FloatArray = NDArray[np.float64]
 FLOOR = 1e-30
 """Smallest diagonal element that is divided by: a parameter that nothing determines keeps its value. Numerics."""
 
+SHOWS = 1e-14
+"""Eigenvalue of a scaled normal matrix, relative to its largest, below which nothing determines a direction. Numerics."""
+
 
 class Linearisation(Protocol):
     """A fit at one state: what `minimise` compares, and whatever the next step is made from."""
@@ -153,12 +156,18 @@ def damped_step(normal: FloatArray, gradient: FloatArray, damping: float) -> Flo
 
 
 def scaled_inverse(normal: FloatArray) -> FloatArray:
-    """(k, k) covariance from a non-negative normal matrix; directions that nothing determines get no variance."""
+    """(k, k) covariance from a non-negative normal matrix; directions that nothing determines get no variance.
+
+    Rounding may leave a small negative eigenvalue where a direction hardly shows. Its variance is that of the positive
+    one: large, and never negative.
+    """
     scale = 1 / np.sqrt(np.maximum(normal.diagonal(), FLOOR))
     both = scale[:, None] * scale
     factor, singular = lapack.dpotrf(normal * both, lower=1, clean=1)
     if singular:
-        inverse = np.linalg.pinv(normal * both, rcond=1e-14, hermitian=True)
+        values, vectors = np.linalg.eigh(normal * both)
+        shows = np.abs(values) > SHOWS * np.abs(values).max()
+        inverse = (vectors[:, shows] / np.abs(values[shows])) @ vectors[:, shows].T
     else:
         root = lapack.dtrtri(factor, lower=1)[0]
         inverse = root.T @ root

@@ -48,6 +48,15 @@ def test_a_parameter_that_does_not_show_keeps_its_value(problem):
     assert scaled_inverse(wide)[3, 3] == 0.0
 
 
+def test_rounding_leaves_no_negative_variance():
+    """Two parameters that hardly differ: the smallest eigenvalue is rounding, of either sign."""
+    for excess in (1e-9, -1e-9):
+        normal = np.array([[1.0, 1.0 + excess, 0.1], [1.0 + excess, 1.0, 0.1], [0.1, 0.1, 1.0]])
+        covariance = scaled_inverse(normal)
+        assert np.linalg.eigvalsh(covariance)[0] > 0
+        assert covariance[0, 0] == pytest.approx(0.5e9, rel=1e-3)
+
+
 def test_robust_weights_are_one_for_small_residuals_and_fall():
     residual = np.array([0.0, 0.5, 2.0, 10.0])
     np.testing.assert_allclose(huber_weight(residual, 1.0), [1.0, 1.0, 0.5, 0.1])

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import labdaemon.blur.light_code
+import labdaemon.blur.waveform
 from labdaemon.blur import (
     Defocus,
     Dot,
@@ -181,3 +183,28 @@ def test_a_symmetric_code_alone_is_ambiguous(area) -> None:
     window = ExposureWindow(5.0, 1.0, light=LightCode(code, 0.0, 5))
     found = measure_group(sharp, [image], [window], defocus=Defocus(0.0, 0.01))
     assert Flag.AMBIGUOUS in found.flags
+
+
+@pytest.mark.parametrize("seed", [3, 11])
+def test_near_a_node_a_target_is_at_rest_and_costs_no_more_than_others(area, seed: int, monkeypatch) -> None:
+    """There the phase does not show: steps went off without a bound, for minutes, or the covariance was negative."""
+    counts: list[int] = []
+    nodes = labdaemon.blur.waveform.gauss_legendre
+    for module in (labdaemon.blur.waveform, labdaemon.blur.light_code):
+        monkeypatch.setattr(module, "gauss_legendre", lambda count: (counts.append(count), nodes(count))[1])
+    scene = area.Scene(radius_px=12.0)
+    sharp = fit_sharp(
+        Dot(30, 30, 12, 12, 0.0, name="t", paper_px=200), [area.render(scene, (60, 60), (30.2, 29.7), seed=1)]
+    )
+    rng = np.random.default_rng(seed)
+    size, direction, phase = rng.uniform(0, 1.2), rng.uniform(0, 6.28), rng.uniform(0, 6.28)
+    v = size * np.array([np.cos(direction), np.sin(direction)])
+    n = np.array([-v[1], v[0]]) * rng.uniform(-0.1, 0.1)
+    truth = np.concatenate((v * np.cos(phase) - n * np.sin(phase), v * np.sin(phase) + n * np.cos(phase)))
+    image = render_coded(area, scene, SEVEN, truth, seed + 100, 61)
+    window = ExposureWindow(5.0, 1.0, 0.7, light=LightCode(SEVEN, 0.0, 5, 0.05, 0.003, sd_ambient=0.005))
+    guess = [InitialGuess(np.array([30.0, 30.0]))]
+    found = measure_group(sharp, [image], [window], defocus=Defocus(0.0, 0.01), initial_guesses=guess)
+    assert found.flags == {Flag.AT_REST}
+    assert np.all(np.linalg.eigvalsh(found.covariance_px2) > -1e-12)
+    assert max(counts) < 500

@@ -43,6 +43,8 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
     unrefined = solution
     # Near rest the phase does not show and the sd has no bound: a step may leave the paths that the model represents.
     longest_px = _max_amplitude_px(frame_set, unrefined.p)
+    if not np.linalg.norm(unrefined.p[frame_set.first_motion :]) <= longest_px:
+        return unrefined
     for _ in range(GLS.frame_steps):
         before = solution
         solution = _step_frames(frame_set, before, transfer_factory)
@@ -63,7 +65,9 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
 
 
 def _max_amplitude_px(frame_set: FrameSet, p: FloatArray) -> float:
-    return 3.0 + 1.3 * float(np.linalg.norm(p[frame_set.first_motion :]))
+    """Largest amplitude that the model must represent: no motion is longer than its patch, whatever a step says."""
+    height, width = frame_set.problems[0].grid.size
+    return 3.0 + 1.3 * min(float(np.linalg.norm(p[frame_set.first_motion :])), float(np.hypot(height, width)))
 
 
 def compare_solutions(
