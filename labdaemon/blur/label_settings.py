@@ -17,6 +17,8 @@ class LabelEdgeSettings:
     """Fits under the mask of the last one's result. Trial: two are enough from a good start."""
     settled_px: float = 0.3
     """Change of a below which the mask stays. Trial: the margin covers it."""
+    hopeless_chi2: float = 50.0
+    """Mean squared residual of a first fit from which the target may not be there at all. Trial: speed."""
     first_scales: tuple[float, ...] = (1.15, 0.8, 1.6)
     """Lengths of the first path, over the guess. Trial: a longer path leaves less, but all of it is label."""
     holding_margin_px: float = 1.0
@@ -37,8 +39,9 @@ class LabelEdgeSettings:
     """Clear pixels that a trial needs to be compared."""
     max_contrast_change: float = 0.35
     """Largest relative difference of the ink's contrast from the sharp frame's, for a rough path. Trial."""
-    least_explained: float = 0.5
-    """Part of the variance that the best trial explains where the target is there at all. Trial."""
+    least_explained: float = 0.65
+    """Part of the variance that the best trial explains where the target is there at all. Trial: 0.76 to 1.0 of labels,
+    0.4 to 0.5 of a card with spots."""
     max_sd_px: float = 0.1
     """Standard deviation of the amplitude above which what is left does not determine it. Trial."""
     max_sd_fraction: float = 0.005

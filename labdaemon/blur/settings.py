@@ -113,6 +113,11 @@ class OcclusionSettings:
     """Residuals at which the biweight becomes zero, in the successive fits of a motion."""
     fitted_motions: int = 6
     """Best-ranked motions that are fitted."""
+    first_iterations: int = 8
+    """Most iterations of these first fits, which are then compared."""
+    hopeless_chi2: float = 25.0
+    """Mean squared residual of all first fits above which no target is in view. Trial: 1 to 14 behind cables and
+    corners, 31 to 45 on a card with spots."""
     refined_motions: int = 2
     """Distinct results of these that are fitted further."""
     same_motion_px: float = 0.3

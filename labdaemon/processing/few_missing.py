@@ -27,6 +27,8 @@ AGREEMENT_RADII = 0.5
 """How near to the prediction, in radii."""
 UNCLAIMED_RADII = 6.0
 """How far around a missing target an unclaimed blurred dot is looked for, in radii."""
+UNCLAIMED_SCORE = 0.75
+"""Correlation of the best of all filters from which it is a dot: the spots of a cluttered ground reach 0.7."""
 CLAIM_RADII = 1.3
 """Radius of the disc that a found target claims at both ends and in the middle of its path, in its own radii."""
 

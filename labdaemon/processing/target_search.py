@@ -18,7 +18,13 @@ from scipy.spatial import KDTree
 
 from labdaemon.blur import FloatArray
 from labdaemon.imaging import GreyImage, LazyImage
-from labdaemon.processing.few_missing import find_predicted, match_unclaimed, predicted_places, without_found
+from labdaemon.processing.few_missing import (
+    UNCLAIMED_SCORE,
+    find_predicted,
+    match_unclaimed,
+    predicted_places,
+    without_found,
+)
 from labdaemon.processing.matched_filter import (
     BlurredTarget,
     GreyLike,
@@ -191,7 +197,11 @@ def _search_predicted(
             small.image[top : y + half + 1, left : x + half + 1], (left, top), small.scale, radii, found
         )
         one = match_unclaimed(window, (left, top), small.scale, place, reach, shapes)
-        return one if one is not None and is_plausible(one, targets[index]) else None
+        if one is None or not is_plausible(one, targets[index]):
+            return None
+        again = targets[index].radius_px / 2
+        closer = match_unclaimed(window, (left, top), small.scale, one.centre_px, again, small.shapes(targets[index]))
+        return closer if closer is not None and closer.score >= UNCLAIMED_SCORE else None
 
     return find_predicted(predicted, radii, found, near, unclaimed)
 

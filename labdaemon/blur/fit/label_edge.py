@@ -60,14 +60,21 @@ def measure_on_label(
     ]
     if not np.any(_axes(guess)):
         guesses = guesses[:1]
-    found = _first_determined(sharp, outline, patch, guesses, attempt)
+    found = _first_determined(sharp, outline, patch, guesses[:1], attempt)
+    trials: list[tuple[float, InitialGuess]] | None = None
+    if _is_hopeless(found, sharp):
+        # A target that is hidden costs least where it is seen first that no path explains anything.
+        trials = rank_trials(sharp, outline, patch, [np.asarray(guess.centre_px, dtype=np.float64)], guesses)
+    if trials is None or (trials and trials[0][0] >= LABEL_EDGE.least_explained):
+        found = _better(found, _first_determined(sharp, outline, patch, guesses[1:], attempt), sharp)
     if found is not None and is_determined(found, sharp):
         return found
     radius = max(sharp.form.half_size_px)
     longest = max(_size(_axes(guess)[0]), 0.0 if found is None else _size(found.a_px), LABEL_EDGE.least_length * radius)
     if outline.nearest_px > radius + 2.0 * longest + LABEL_EDGE.holding_margin_px:
         return attempt(patch, _place(guess), True)  # no such path brings the end of the label near
-    trials = rank_trials(sharp, outline, patch, [np.asarray(guess.centre_px, dtype=np.float64)])
+    if trials is None:
+        trials = rank_trials(sharp, outline, patch, [np.asarray(guess.centre_px, dtype=np.float64)])
     explained = trials[0][0] if trials else 0.0
     # Where no path explains what is seen, fits from those paths cannot either.
     followed = [trial for value, trial in trials if value >= LABEL_EDGE.least_explained]
@@ -84,6 +91,20 @@ def measure_on_label(
         return other if found is None or Flag.OCCLUDED in other.flags else _at_edge(found)
     last = better if better is not None else found
     return _at_edge(last) if last is not None else _lost(sharp)
+
+
+def _is_hopeless(found: Measurement | None, sharp: SharpTarget) -> bool:
+    """Whether a first fit is so bad that the target may not be there at all."""
+    return found is not None and not is_determined(found, sharp) and found.chi2 > LABEL_EDGE.hopeless_chi2
+
+
+def _better(one: Measurement | None, other: Measurement | None, sharp: SharpTarget) -> Measurement | None:
+    """The one that determines the motion, else the one that fits best."""
+    if one is None or other is None:
+        return one if other is None else other
+    if is_determined(one, sharp) != is_determined(other, sharp):
+        return one if is_determined(one, sharp) else other
+    return one if one.chi2 <= other.chi2 else other
 
 
 def _at_edge(found: Measurement) -> Measurement:
@@ -122,6 +143,8 @@ def _iterate(outline: LabelOutline, patch: Patch, guess: InitialGuess, attempt: 
         if not np.isfinite([*found.centre_px, *found.a_px, *found.b_px]).all():
             return last
         settled = last is not None and _size(found.a_px - _axes(guess)[0]) < LABEL_EDGE.settled_px
+        # The mask of a path that fits badly can mend it once; where it does not, there is no such path.
+        settled |= last is not None and found.chi2 > max(LABEL_EDGE.hopeless_chi2, last.chi2 / 2)
         last, guess = found, _as_guess(found)
         if settled:
             break

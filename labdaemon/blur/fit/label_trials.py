@@ -2,6 +2,7 @@
 
 Straight paths are tried over lengths and directions. Each is compared with the pixels that show nothing but label under
 that very path, by the part of their variance that the modelled blur explains. The best ones are initial guesses.
+One colour plane is enough for that.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from labdaemon.blur.label_settings import LABEL_EDGE
 from labdaemon.blur.motion import InitialGuess
-from labdaemon.blur.patch.colour_planes import ColourPlanes, make_grid, make_planes, split_planes
+from labdaemon.blur.patch.colour_planes import ColourPlanes, make_grid, make_planes
 from labdaemon.blur.patch.illumination import render_illumination, solve_illumination
 from labdaemon.blur.patch.label_outline import LabelOutline
 from labdaemon.blur.patch.pixels import FloatArray, Patch
@@ -24,7 +25,11 @@ from labdaemon.blur.spectra import closed_form
 
 
 def rank_trials(
-    sharp: SharpTarget, outline: LabelOutline, patch: Patch, places_px: Sequence[FloatArray]
+    sharp: SharpTarget,
+    outline: LabelOutline,
+    patch: Patch,
+    places_px: Sequence[FloatArray],
+    guesses: Sequence[InitialGuess] = (),
 ) -> list[tuple[float, InitialGuess]]:
     """Straight paths that explain the pixels of the label best, the best first, each with the part that it explains.
 
@@ -34,6 +39,8 @@ def rank_trials(
         The target, its label, and its part of the blurred frame.
     places_px
         Mean positions to try, (2,) each.
+    guesses
+        Other paths to be ranked with them, by their major axes.
     """
     height, width = patch.shape
     patch = patch.crop(*patch.origin_px, width // 2 * 2, height // 2 * 2)  # colour planes of equal size
@@ -49,7 +56,9 @@ def rank_trials(
         for angle in angles
     ]
     score = _Score(sharp, outline, patch, problem)
-    first = sorted(((score(place, a), place, a) for place in places_px for a in paths), key=lambda one: -one[0])
+    tried = [(np.asarray(place), a) for place in places_px for a in paths]
+    tried += [(np.asarray(guess.centre_px), guess.a_px) for guess in guesses if guess.a_px is not None]
+    first = sorted(((score(place, a), place, a) for place, a in tried), key=lambda one: -one[0])
     step = LABEL_EDGE.trial_offset * radius
     offsets = [step * np.array([x, y], dtype=np.float64) for x in (-1, 0, 1) for y in (-1, 0, 1)]
     near = [
@@ -64,7 +73,7 @@ def rank_trials(
 def _prepare(sharp: SharpTarget, patch: Patch) -> FitProblem | None:
     if min(patch.shape) < 5 or not patch.valid.any():
         return None
-    planes = make_planes(patch)
+    planes = make_planes(patch).first
     margin = sharp.form.psf_margin_px
     height, width = patch.shape
     grid = make_grid((height + margin, width + margin), sharp.form.oversampling)
@@ -84,9 +93,9 @@ class _Score:
 
     def __call__(self, place: FloatArray, a: FloatArray) -> float:
         planes: ColourPlanes = self._problem.planes
-        clear = self._outline.clear_pixels(self._patch, place, a, np.zeros(2), LABEL_EDGE.margin_px)
-        weight = np.where(split_planes(planes, clear), self._weight, 0.0)
-        if np.count_nonzero(weight) < LABEL_EDGE.least_pixels:
+        clear = self._outline.clear_pixels(self._patch, place, a, np.zeros(2), LABEL_EDGE.margin_px, step=planes.period)
+        weight = np.where(clear, self._weight, 0.0)
+        if planes.period**2 * np.count_nonzero(weight) < LABEL_EDGE.least_pixels:
             return 0.0
         dark = self._model(np.concatenate((place, [0.0], np.where(np.abs(a) < 0.1, 0.1, a))))
         light = solve_illumination(planes, weight, dark)

@@ -149,24 +149,16 @@ def _fit_consensus(
     planes = problem.planes
     k = problem.shape_count
     model, base = fast_forward_model(problem, closed_form.straight_transfer), pixel_weights(sharp, planes)
-    light, darkness = _paper_illumination(sharp, planes), darkness_model(problem, closed_form.straight_transfer)
-
-    def cost(dark: FloatArray, light: FloatArray, sigmas: float) -> float:
-        signal = render_illumination(planes, light, dark)
-        squared = base(np.maximum(signal, 0)) * (planes.values - signal) ** 2
-        return float(np.minimum(squared, sigmas**2).sum())
-
-    def disagreement(p: FloatArray, light: FloatArray, sigmas: float) -> float:
-        return cost(darkness(p), light, sigmas)
-
+    light = _paper_illumination(sharp, planes)
+    rough = _Disagreement(sharp, _first_plane(sharp, problem), OCCLUSION.ranking_limit)
     radius = float(np.sqrt(np.prod(sharp.form.half_size_px)))
     tried = [
         np.concatenate((place, [blur.mean_px2], np.zeros(k), a))
         for place in candidate_centres_px
         for a in _trial_motions(radius)
     ]
-    costs = [disagreement(p, light, OCCLUSION.ranking_limit) for p in tried]
-    gain = cost(np.zeros_like(darkness(tried[0])), light, OCCLUSION.ranking_limit) - min(costs)
+    costs = [rough(p, light[:1]) for p in tried]
+    gain = planes.period**2 * (rough.of_paper(light[:1]) - min(costs))
     least = OCCLUSION.min_visible_fraction * np.pi * radius**2
     if gain < least * OCCLUSION.ranking_limit**2 and _dark_pixels(planes, light) < least:
         return None  # nothing of the target shows
@@ -176,21 +168,51 @@ def _fit_consensus(
         for p in tried[: OCCLUSION.fitted_motions]
         for d in _trial_offsets(OCCLUSION.trial_step * radius)
     ]
-    near.sort(key=lambda p: disagreement(p, light, OCCLUSION.ranking_limit))
+    near.sort(key=lambda p: rough(p, light[:1]))
+    strict = _Disagreement(sharp, problem, OCCLUSION.biweight_limits[-1])
     prior = nuisance_prior(sharp, blur, 2)
     first, *stricter = OCCLUSION.biweight_limits
 
-    def fitted(p: FloatArray, its_light: FloatArray, sigmas: float) -> Solution:
-        return solve(planes, _biweight(planes, base, sigmas), model, p, prior, light=its_light)
+    def fitted(p: FloatArray, its_light: FloatArray, sigmas: float, iterations: int = 30) -> Solution:
+        weights = _biweight(planes, base, sigmas)
+        return solve(planes, weights, model, p, prior, light=its_light, max_iterations=iterations)
 
     def remains(found: Solution) -> float:
-        return disagreement(found.p, found.light, OCCLUSION.biweight_limits[-1])
+        return strict(found.p, found.light)
 
     # Most starts lead to the same motion: only what differs, and differs little from the patch, is fitted further.
-    kept = _distinct_motions([fitted(start, light, first) for start in near[: OCCLUSION.fitted_motions]], remains)
-    for sigmas in stricter:
+    begun = [fitted(p, light, first, OCCLUSION.first_iterations) for p in near[: OCCLUSION.fitted_motions]]
+    kept = _distinct_motions(begun, remains)
+    for sigmas in stricter if min(one.chi2 for one in begun) < OCCLUSION.hopeless_chi2 else ():
         kept = [fitted(one.p, one.light, sigmas) for one in kept]
     return min(kept, key=remains)
+
+
+class _Disagreement:
+    """How far pixels differ from a motion, each by `sigmas` standard deviations at most, squared and summed."""
+
+    def __init__(self, sharp: SharpTarget, problem: FitProblem, sigmas: float) -> None:
+        self._planes, self._limit = problem.planes, sigmas**2
+        self._weights = pixel_weights(sharp, problem.planes)
+        self._darkness = darkness_model(problem, closed_form.straight_transfer)
+
+    def __call__(self, p: FloatArray, light: FloatArray) -> float:
+        return self._cost(self._darkness(p), light)
+
+    def of_paper(self, light: FloatArray) -> float:
+        """Of bare paper."""
+        return self._cost(np.zeros(self._planes.values.shape), light)
+
+    def _cost(self, dark: FloatArray, light: FloatArray) -> float:
+        signal = render_illumination(self._planes, light, dark)
+        squared = self._weights(np.maximum(signal, 0)) * (self._planes.values - signal) ** 2
+        return float(np.minimum(squared, self._limit).sum())
+
+
+def _first_plane(sharp: SharpTarget, problem: FitProblem) -> FitProblem:
+    """The problem on one colour plane, which is enough to rank motions."""
+    planes = problem.planes.first
+    return replace(problem, planes=planes, rest_spectra=rest_spectra(sharp.form, problem.grid, planes))
 
 
 def _distinct_motions(found: list[Solution], cost: Callable[[Solution], float]) -> list[Solution]:

@@ -7,7 +7,7 @@ each colour plane, so that one small inverse FFT a colour plane gives the model 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -43,6 +43,17 @@ class ColourPlanes:
     offset_px: FloatArray
     period: int
     origin_px: tuple[int, int]
+
+    @property
+    def first(self) -> ColourPlanes:
+        """The first colour plane alone."""
+        return replace(
+            self,
+            values=self.values[:1],
+            valid=self.valid[:1],
+            channel=self.channel[:1],
+            offset_px=self.offset_px[:1],
+        )
 
 
 def make_planes(patch: Patch) -> ColourPlanes:

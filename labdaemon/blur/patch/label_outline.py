@@ -52,7 +52,14 @@ class LabelOutline:
         return result
 
     def clear_pixels(
-        self, patch: Patch, centre_px: FloatArray, a_px: FloatArray, b_px: FloatArray, margin_px: float
+        self,
+        patch: Patch,
+        centre_px: FloatArray,
+        a_px: FloatArray,
+        b_px: FloatArray,
+        margin_px: float,
+        *,
+        step: int = 1,
     ) -> BoolArray:
         """(h, w) pixels that show nothing but the label at every instant of a path.
 
@@ -64,12 +71,14 @@ class LabelOutline:
             (2,) semi-axes of its path.
         margin_px
             Distance from the end of the label that its blur fills.
+        step
+            Only one pixel in so many rows and columns is looked at, from the first one on.
         """
         height, width = patch.shape
-        x = np.arange(width) + patch.origin_px[0] - centre_px[0]
-        y = (np.arange(height) + patch.origin_px[1] - centre_px[1])[:, None]
+        x = np.arange(0, width, step) + patch.origin_px[0] - centre_px[0]
+        y = (np.arange(0, height, step) + patch.origin_px[1] - centre_px[1])[:, None]
         path = path_points(a_px, b_px)
-        result = np.ones((height, width), dtype=bool)
+        result = np.ones((y.size, x.size), dtype=bool)
         safe = self.nearest_px - margin_px
         far = np.hypot(x, y) + float(np.max(np.hypot(*path.T))) >= safe
         if not far.any():
