@@ -13,12 +13,20 @@ from labdaemon.errors import DataError
 from labdaemon.findings import PhaseReference, find_modes
 from labdaemon.findings.common_scale import CommonChange
 from labdaemon.findings.comparison import Comparison, Difference, as_json, compare_states, with_notes
-from labdaemon.findings.deflection import LEAST_COMPONENTS, common_steps, compare_deflections, masked_directions
+from labdaemon.findings.deflection import (
+    LEAST_COMPONENTS,
+    SAME_FREQUENCY,
+    common_steps,
+    compare_deflections,
+    masked_directions,
+)
 from labdaemon.findings.modal_state import ModalState, state_of
 from labdaemon.findings.similarity import Similarity, fit_similarity
 
 MOVED_MM, MOVED_DEG, RESCALED = 1.0, 0.05, 2e-3
 """From here on a change of the targets' mean positions, as a whole, is reported."""
+BEYOND = 1.05
+"""Ratio of frequencies from which on a campaign went beyond the band of the other."""
 DEFORMED_MM = 3.0
 """Mean positions that differ by more after a similarity are of other targets, or targets were moved."""
 
@@ -72,6 +80,7 @@ def compare_campaigns(
             free_target_signs=PhaseReference.TARGET in (first.series.phase, second.series.phase),
         )
         if found.modes or not common_steps(first.series, second.series):
+            notes += _common_band(first, second)
             found = replace(found, explained_by=(*explained, *found.explained_by))
             return CampaignComparison(with_notes(found, notes), "modes")
         notes += found.notes  # no mode of one state is one of the other: their envelopes can still be compared
@@ -82,7 +91,13 @@ def _in_common(
     first: CampaignResponse, second: CampaignResponse
 ) -> tuple[CampaignResponse, CampaignResponse, list[str], list[CommonChange]]:
     """Both campaigns with the same targets and directions, in the baseline's axes."""
-    notes = [*first.notes, *second.notes]
+    notes = [*_sameness(first, second), *first.notes, *second.notes]
+    for one in (first, second):
+        if not one.series.valid().any():
+            reason = "; ".join(one.notes) or "all are empty"
+            raise DataError(
+                f"has no usable motion of any target, so nothing can be compared ({reason})", file=one.folder
+            )
     names = [name for name in first.series.targets if name in second.series.targets]
     for one, two in ((first, second), (second, first)):
         alone = [name for name in one.series.targets if name not in two.series.targets]
@@ -108,6 +123,19 @@ def _in_common(
         replace(one, series=masked_directions(one.series, directions), directions=directions) for one in (first, second)
     )
     return first, second, notes, explained
+
+
+def _sameness(first: CampaignResponse, second: CampaignResponse) -> list[str]:
+    """What makes a comparison of these two say nothing, or less than it could."""
+    if first.folder.resolve() == second.folder.resolve():
+        return [f"both are the folder {first.folder.name}: nothing can differ"]
+    one, two = first.series, second.series
+    if one.targets == two.targets and np.array_equal(one.amplitude, two.amplitude, equal_nan=True):
+        return ["both have the same numbers to the last digit: one folder is a copy of the other"]
+    phased = [each for each in (first, second) if each.series.phase is not PhaseReference.TARGET]
+    if len(phased) == 1:
+        return [f"only {phased[0].folder.name} shows phases throughout: signs and phases are not compared"]
+    return []
 
 
 def _both_finite(one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -156,6 +184,34 @@ def _state(one: CampaignResponse) -> ModalState | None:
     return state_of(found.fit, one.positions_mm, one.series.targets)
 
 
+def _common_band(first: CampaignResponse, second: CampaignResponse) -> list[str]:
+    """The band in which both took steps, where one went clearly beyond it: a sweep that was aborted is shorter."""
+    bands = [(one.series.frequency_hz.min(), one.series.frequency_hz.max()) for one in (first, second)]
+    low, high = max(bands[0][0], bands[1][0]), min(bands[0][1], bands[1][1])
+    if all(low / band[0] < BEYOND and band[1] / high < BEYOND for band in bands):
+        return []
+    return [f"only the band from {low:.4g} to {high:.4g} Hz was measured in both: modes beyond it cannot be compared"]
+
+
+def _unpaired_steps(first: CampaignResponse, second: CampaignResponse) -> list[str]:
+    """Frequencies that only one campaign has: a campaign that was aborted lacks the later ones."""
+    pairs = common_steps(first.series, second.series)
+    notes = []
+    for side, one in enumerate((first, second)):
+        paired = {pair[side] for pair in pairs}
+        # A frequency that was taken several times is paired once.
+        seen = one.series.frequency_hz[list(paired)]
+        alone = {
+            f"{frequency:.4g}"
+            for step, frequency in enumerate(one.series.frequency_hz)
+            if step not in paired and not np.any(np.abs(seen / frequency - 1) <= SAME_FREQUENCY)
+        }
+        if alone:
+            listed = ", ".join(sorted(alone, key=float)[:8]) + (" …" if len(alone) > 8 else "")
+            notes.append(f"only {one.folder.name} has {listed} Hz: not compared")
+    return notes
+
+
 def _deflections(first: CampaignResponse, second: CampaignResponse, explained: list[CommonChange]) -> Comparison:
     found = compare_deflections(first.series, second.series)
     if found is None and common_steps(first.series, second.series):
@@ -186,5 +242,6 @@ def _deflections(first: CampaignResponse, second: CampaignResponse, explained: l
     notes = (
         f"too few steps for modes: the forms of the envelopes at {count} common frequencies are compared; "
         "frequencies, dampings and storeys are not known",
+        *_unpaired_steps(first, second),
     )
     return Comparison(found.changed, found.p_value, findings, tuple(explained), (), (), None, notes)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from labdaemon.envelope import TargetEnvelope
-from labdaemon.errors import ConfigError, DataError
+from labdaemon.errors import DataError
 from labdaemon.findings import ResponseSeries
 from labdaemon.findings.envelope_series import UNKNOWN_TABLE_SD, MeasuredStep, envelope_series
 from labdaemon.findings.response import BoolArray, FloatArray
-from labdaemon.processing import RESULTS, CaptureFacts, capture_facts, is_positive, read_csv, table_motion
-from labdaemon.tomlfile import read_toml
+from labdaemon.processing import RESULTS, CaptureFacts, capture_facts, read_csv
+
+SHOWN = 4
+"""Names that a message lists."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,50 +62,45 @@ def read_campaign(folder: Path, results: Path | None = None) -> CampaignResponse
     ConfigError
         A capture.toml is wrong.
     """
+    if not os.path.isdir(folder):
+        raise DataError("is not a folder", file=folder)
     path = (results or folder / RESULTS) / "envelope.csv"
     if not os.path.isfile(path) and os.path.isfile(folder / "envelope.csv"):
         path = folder / "envelope.csv"
     if not os.path.isfile(path):
         raise DataError("no envelope.csv in its results; run: labdaemon process FOLDER", file=folder)
     rows: dict[str, dict[str, TargetEnvelope]] = {}
-    try:
-        for row in read_csv(path):
-            rows.setdefault(str(row["capture"]), {})[str(row["target"])] = TargetEnvelope.from_row(row)
-    except (KeyError, ValueError, TypeError, UnicodeDecodeError, csv.Error) as exc:
-        raise DataError(f"is no table of envelopes ({exc})", file=path) from None
+    for row in read_csv(path):
+        rows.setdefault(str(row["capture"]), {})[str(row["target"])] = TargetEnvelope.from_row(row)
     if not rows:
         raise DataError("has no envelopes: the campaign is empty", file=path)
-    return _assemble(folder, rows, _captures(folder), capture_facts(folder))
-
-
-def _captures(folder: Path) -> dict[str, dict[str, Any]]:
-    """What each capture.toml says, by capture and by group."""
-    found: dict[str, dict[str, Any]] = {}
-    for path in sorted(folder.glob("captures/*/capture.toml")):
-        _, about = read_toml(path)
-        for key in ("frequency_hz", "excitation_amplitude_mm"):
-            value = about.get(key)
-            if value is not None and not is_positive(value):
-                raise ConfigError(f"must be a positive number, not {value!r}", source=path, key=key)
-        found[path.parent.name] = about
-        if about.get("group"):
-            found[str(about["group"])] = about
-    return found
+    return _assemble(folder, rows, capture_facts(folder))
 
 
 def _assemble(
-    folder: Path,
-    rows: dict[str, dict[str, TargetEnvelope]],
-    about: dict[str, dict[str, Any]],
-    facts: dict[str, CaptureFacts],
+    folder: Path, rows: dict[str, dict[str, TargetEnvelope]], facts: dict[str, CaptureFacts]
 ) -> CampaignResponse:
-    known = [name for name in rows if about.get(name, {}).get("frequency_hz")]
     notes = []
-    if len(known) < len(rows):
-        notes.append(f"{folder.name}: {len(rows) - len(known)} of {len(rows)} captures state no frequency; left out")
+    strange = [name for name in rows if name not in facts]
+    known = [name for name in rows if name in facts and facts[name].frequency_hz is not None]
+    if len(strange) == len(rows) and facts:
+        raise DataError(
+            f"its results are of {_listed(strange)}, but its captures are {_listed(list(facts))}: columns were "
+            "swapped, groups were renamed, or the results are another folder's; run: labdaemon process FOLDER",
+            file=folder,
+        )
+    if not facts:
+        raise DataError(
+            "has no captures/*/capture.toml, so that no frequency is known: nothing can be compared", file=folder
+        )
     if not known:
         raise DataError("no capture states its frequency_hz in capture.toml: nothing can be compared", file=folder)
-    steps = [_step(about[name], rows[name], facts[name].is_phase_known) for name in known]
+    if strange:
+        notes.append(f"{folder.name}: captures/ has nothing of {_listed(strange)}; left out")
+    silent = len(rows) - len(known) - len(strange)
+    if silent:
+        notes.append(f"{folder.name}: {silent} of {len(rows)} captures state no frequency; left out")
+    steps = [_step(facts[name], rows[name]) for name in known]
     found = envelope_series(steps)
     if found.left_out:
         listed = ", ".join(f"{count} {name}" for name, count in found.left_out.most_common())
@@ -110,14 +108,40 @@ def _assemble(
     missing = sum(step.sd_table == UNKNOWN_TABLE_SD for step in steps)
     if missing:
         notes.append(f"{folder.name}: {missing} captures do not state the table's amplitude, so it is taken as unknown")
+    notes += [f"{folder.name}: {text}" for text in _doubts(found.series)]
     return CampaignResponse(folder, found.series, found.positions_mm, found.directions, tuple(notes))
 
 
-def _step(about: dict[str, Any], targets: dict[str, TargetEnvelope], is_signed: bool) -> MeasuredStep:
-    frequency_hz, table = float(about["frequency_hz"]), table_motion(about)
+def _doubts(series: ResponseSeries) -> list[str]:
+    """What makes these envelopes useless for a comparison although each is well-formed."""
+    is_measured = series.valid()
+    if not is_measured.any():
+        return ["no target has a motion with a standard deviation: all are empty or flagged"]
+    at_rest = series.resting()
+    if at_rest[is_measured.any(axis=2)].all():
+        return ["all targets are at rest: nothing moves"]
+    size = np.sqrt(np.sum(np.where(is_measured, np.abs(series.amplitude) ** 2, 0.0), axis=2))
+    spread = np.sqrt(np.sum(np.where(is_measured, series.sd_real**2, 0.0), axis=2))
+    moving = is_measured.any(axis=2) & ~at_rest
+    unsure = int(np.count_nonzero(spread[moving] > size[moving]))
+    if unsure > len(size[moving]) / 2:
+        return [
+            f"{unsure} of {len(size[moving])} motions are smaller than their standard deviations without the flag "
+            "at_rest: are columns swapped?"
+        ]
+    return []
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+
+
+def _step(facts: CaptureFacts, targets: dict[str, TargetEnvelope]) -> MeasuredStep:
+    assert facts.frequency_hz is not None
+    table, is_signed = facts.table, facts.is_phase_known
     if table is None:
-        return MeasuredStep(frequency_hz, targets, is_signed=is_signed)
+        return MeasuredStep(facts.frequency_hz, targets, is_signed=is_signed)
     relative_sd = table.sd_mm / table.amplitude_mm
     return MeasuredStep(
-        frequency_hz, targets, table.amplitude_mm, relative_sd, table.phase_rad, table.sd_phase_rad, is_signed
+        facts.frequency_hz, targets, table.amplitude_mm, relative_sd, table.phase_rad, table.sd_phase_rad, is_signed
     )

@@ -137,10 +137,7 @@ def _existing(path: Path) -> Path:
 
 
 def _rows(path: Path, keys: tuple[str, ...]) -> dict[str, Row]:
-    try:
-        return {" ".join(str(row[key]) for key in keys): row for row in read_csv(path)}
-    except (KeyError, ValueError, UnicodeDecodeError) as exc:
-        raise DataError(f"is no result file of labdaemon ({exc})", file=path) from None
+    return {" ".join(str(row[key]) for key in keys): row for row in read_csv(path)}
 
 
 def _frames(folder: Path) -> list[Path]:

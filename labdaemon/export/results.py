@@ -56,11 +56,8 @@ def read_results(folder: Path, results: Path | None = None) -> FolderResults:
     if not os.path.isfile(path):
         raise DataError("is not there; run `labdaemon process` on the folder first", file=path)
     captures: dict[str, list[Row]] = {}
-    try:
-        for row in read_csv(path):
-            captures.setdefault(str(row["capture"]), []).append(row)
-    except (KeyError, ValueError, UnicodeDecodeError) as exc:
-        raise DataError(f"is no envelope.csv of labdaemon ({exc})", file=path) from None
+    for row in read_csv(path):
+        captures.setdefault(str(row["capture"]), []).append(row)
     if not captures:
         raise DataError("holds no envelope yet", file=path)
     facts = capture_facts(folder)

@@ -154,7 +154,8 @@ def _function(
             func_type=4,
             ver_num=1,
             load_case_id=0,
-            rsp_ent_name=target[:10] or "NONE",
+            # A field of ten bytes among others in one line: a longer one moves those behind it.
+            rsp_ent_name=target.encode("ascii", "replace")[:10].decode() or "NONE",
             rsp_node=node,
             rsp_dir=direction,
             ref_ent_name="TABLE",

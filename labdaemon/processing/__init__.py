@@ -31,6 +31,7 @@ from labdaemon.processing.prepare import (
     prepare_patch_frames,
     prepare_patches,
 )
+from labdaemon.processing.result_reader import read_csv
 from labdaemon.processing.results_place import FILES, RESULTS, Stamp, stamps
 from labdaemon.processing.run import FolderResult, jobs, process_folder
 from labdaemon.processing.sharpset import SharpSet, prepare_sharp
@@ -42,7 +43,6 @@ from labdaemon.processing.tables import (
     Row,
     csv_text,
     measurement_row,
-    read_csv,
     write_csv,
 )
 from labdaemon.processing.target_search import locate_targets

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from labdaemon.errors import ConfigError, DataError
+from labdaemon.errors import ConfigError
 from labdaemon.tomlfile import read_toml
 
 PART_CYCLE = 0.05
@@ -97,17 +97,28 @@ def capture_facts(folder: Path) -> dict[str, CaptureFacts]:
 
     Raises
     ------
-    DataError
-        A capture file cannot be read.
+    ConfigError
+        A capture file cannot be read, or states something that cannot be; the message names file and key.
     """
     stated: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
     for path in sorted(folder.glob("captures/*/capture.toml")):
-        try:
-            _, about = read_toml(path)
-        except ConfigError as exc:
-            raise DataError(f"cannot be read ({exc})", file=path) from None
-        stated.setdefault(str(about.get("group") or path.parent.name), []).append((path.parent.name, about))
+        about = _read_capture_file(path)
+        stated.setdefault(about.get("group") or path.parent.name, []).append((path.parent.name, about))
     return {name: _joined(members) for name, members in stated.items()}
+
+
+def _read_capture_file(path: Path) -> dict[str, Any]:
+    """Content of a capture file, what counts here of a usable kind."""
+    _, about = read_toml(path)
+    for key in ("frequency_hz", "exposure_s", "excitation_amplitude_mm"):
+        value = about.get(key)
+        # A table that was not driven may be noted with an amplitude of 0.
+        is_unmoved = key == "excitation_amplitude_mm" and value == 0 and not isinstance(value, bool)
+        if value is not None and not is_positive(value) and not is_unmoved:
+            raise ConfigError(f"must be a positive number, not {value!r}", source=path, key=key)
+    if not isinstance(about.get("group", ""), str):
+        raise ConfigError(f"must be text, not {about['group']!r}", source=path, key="group")
+    return about
 
 
 def _joined(members: list[tuple[str, Mapping[str, Any]]]) -> CaptureFacts:

@@ -54,6 +54,11 @@ def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[str, list[float]]]
         if name in seen:
             raise DataError(f"{where}: {name} is given twice", file=path)
         seen.add(name)
+        if None in row:
+            raise DataError(
+                f"{where}: {name} has more values than the header has columns; write decimal points, not commas",
+                file=path,
+            )
         try:
             values = [float(row[column]) for column in columns[1:]]
         except (TypeError, ValueError):

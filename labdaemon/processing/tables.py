@@ -105,21 +105,3 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
         The folder cannot be written.
     """
     write_durably(path, csv_text(columns, rows))
-
-
-def read_csv(path: Path) -> list[Row]:
-    """Read a result file back as the rows that were written (numbers to six decimals)."""
-    text_columns = {"capture", "camera", "target"}
-    with path.open(encoding="utf-8", newline="") as file:
-        rows: list[Row] = []
-        for line in csv.DictReader(file):
-            row: Row = {}
-            for column, text in line.items():
-                if column in text_columns:
-                    row[column] = text
-                elif column == "flags":
-                    row[column] = text.split(";") if text else []
-                else:
-                    row[column] = float(text) if text else None
-            rows.append(row)
-    return rows

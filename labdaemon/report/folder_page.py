@@ -88,7 +88,8 @@ def report_folder(
     if not os.path.isdir(folder):
         raise DataError("is not a folder", file=folder)
     results = results or folder / "results"
-    facts, known = _facts(folder), capture_facts(folder)
+    known = capture_facts(folder)
+    facts = _facts(folder)
     cameras = sorted({path.stem for path in folder.glob("captures/*/*") if path.suffix not in NOT_FRAMES})
     measured = envelopes(results)
     if len(measured) > MAX_ILLUSTRATED:

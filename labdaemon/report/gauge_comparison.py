@@ -14,6 +14,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+from labdaemon.errors import DataError
 from labdaemon.orbit_size import is_doubtful, size_mm
 from labdaemon.report.accuracy import semi_amplitude_sd_mm
 
@@ -73,25 +74,33 @@ def read_gauges(
         Rows of `envelope.csv` by capture.
     stands_for
         Patterns of target names by gauge (rig file, `stands_for`).
+
+    Raises
+    ------
+    DataError
+        The file is no such table.
     """
     if not path.is_file():
         return []
     readings = []
-    with path.open(encoding="utf-8", newline="") as file:
-        for line in csv.DictReader(file):
-            rows = envelopes.get(line["capture"], ())
-            image = _image(rows, stands_for.get(line["gauge"], ()))
-            readings.append(
-                GaugeComparison(
-                    line["capture"],
-                    line["gauge"],
-                    line.get("role") or "",
-                    _number(line.get("amplitude_mm")),
-                    _number(line.get("sd_amplitude_mm")),
-                    line.get("reason") or "",
-                    *image,
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            for line in csv.DictReader(file):
+                rows = envelopes.get(line["capture"], ())
+                image = _image(rows, stands_for.get(line["gauge"], ()))
+                readings.append(
+                    GaugeComparison(
+                        line["capture"],
+                        line["gauge"],
+                        line.get("role") or "",
+                        _number(line.get("amplitude_mm")),
+                        _number(line.get("sd_amplitude_mm")),
+                        line.get("reason") or "",
+                        *image,
+                    )
                 )
-            )
+    except (KeyError, ValueError, OSError, csv.Error) as exc:  # UnicodeDecodeError is a ValueError
+        raise DataError(f"is no table of gauges ({exc}); `labdaemon process` writes it anew", file=path) from None
     return readings
 
 
@@ -127,4 +136,5 @@ def _image(rows: Sequence[Mapping[str, Any]], patterns: Sequence[str]) -> tuple[
 
 
 def _number(text: str | None) -> float | None:
-    return float(text) if text else None
+    value = float(text) if text else math.nan
+    return value if math.isfinite(value) else None

@@ -124,7 +124,7 @@ def _grid(found: CampaignComparison) -> PageGrid | None:
             f"{100 * one.sd_shift:.4f}",
             f"{100 * one.damping_change:+.1f}",
             f"{100 * one.sd_damping_change:.1f}",
-            f"{one.mac:.5f}",
+            f"{one.mac.value:.5f}",
         )
         for one in found.comparison.modes
     ]

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import csv
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +17,7 @@ from labdaemon.bench.shear_structure import Instrument, ShearStructure
 from labdaemon.cli.main import cli
 from labdaemon.errors import ConfigError, DataError, LabdaemonError, UsageError
 from labdaemon.findings import PhaseReference
+from labdaemon.processing import ENVELOPE_COLUMNS
 
 STRUCTURE = ShearStructure(per_column=4)
 NAMES = tuple(f"{side}{i + 1:02d}" for side in "LR" for i in range(4))
@@ -42,6 +45,17 @@ def campaign(tmp_path: Path) -> Callable[..., Path]:
         return write_campaign(tmp_path / name, replace(series, targets=names), structure.positions_mm(), **how)
 
     return make
+
+
+HEADER = ",".join(ENVELOPE_COLUMNS)
+
+
+def edit(folder: Path, change: Callable[[dict[str, str]], dict[str, str]]) -> None:
+    """Change every row of `envelope.csv`; what `change` leaves out is the row's end."""
+    path = folder / "results" / "envelope.csv"
+    with path.open(newline="") as file:
+        rows = [change(row) for row in csv.DictReader(file)]
+    path.write_text("\n".join([HEADER, *(",".join(row.values()) for row in rows if row)]) + "\n")
 
 
 def compare(*arguments: object) -> dict[str, Any]:
@@ -125,6 +139,7 @@ def test_missing_frequencies_are_left_out(campaign: Callable[..., Path]) -> None
     first = campaign("a", frequency=DWELLS)
     found = compare(first, campaign("b", frequency=np.array([5.0, 9.0, 12.0]), seed=2))
     assert "at 2 common frequencies" in found["notes"][0]
+    assert found["notes"][1:] == ["only a has 8 Hz: not compared", "only b has 9 Hz: not compared"]
     assert "no frequency in common" in str(refused(first, campaign("c", frequency=np.array([6.0, 7.0]), seed=3)))
 
 
@@ -173,14 +188,23 @@ def test_moved_targets_are_said(campaign: Callable[..., Path], tmp_path: Path) -
     ("spoil", "text"),
     [
         (lambda folder: (folder / "results" / "envelope.csv").unlink(), "no envelope.csv"),
-        (lambda folder: (folder / "results" / "envelope.csv").write_text("capture,target\n"), "is empty"),
-        (lambda folder: (folder / "results" / "envelope.csv").write_bytes(b"\xff\xfe\x00"), "no table of envelopes"),
-        (lambda folder: (folder / "results" / "envelope.csv").write_text("a,b\n1,2\n"), "no table of envelopes"),
-        (lambda folder: [path.unlink() for path in folder.glob("captures/*/capture.toml")], "frequency_hz"),
+        (lambda folder: (folder / "results" / "envelope.csv").write_text(f"{HEADER}\n"), "is empty"),
+        (lambda folder: (folder / "results" / "envelope.csv").write_bytes(b"\xff\xfe\x00"), "is not UTF-8 text"),
+        (lambda folder: (folder / "results" / "envelope.csv").write_text("a,b\n1,2\n"), "no result file of labdaemon"),
+        (lambda folder: [path.unlink() for path in folder.glob("captures/*/capture.toml")], "no frequency is known"),
+        (
+            lambda folder: edit(folder, lambda row: row | {"capture": row["target"], "target": row["capture"]}),
+            "columns were swapped",
+        ),
+        (lambda folder: edit(folder, lambda row: row | {"flags": "poor_fit"}), "24 poor_fit"),
+        (
+            lambda folder: edit(folder, lambda row: row | {name: "" for name in row if name.startswith("sd_a")}),
+            "no usable motion",
+        ),
     ],
 )
 def test_unusable_folders(campaign: Callable[..., Path], spoil: Callable[[Path], Any], text: str) -> None:
-    first, second = campaign("a"), campaign("b", seed=2)
+    first, second = campaign("a", frequency=DWELLS), campaign("b", frequency=DWELLS, seed=2)
     spoil(second)
     error = refused(first, second)
     assert isinstance(error, DataError)
@@ -244,3 +268,30 @@ def test_modes_that_all_moved_far_leave_the_envelopes(campaign: Callable[..., Pa
     soft = replace(STRUCTURE.scaled(stiffness=1.9), mass_kg=(0.9, 0.4, 0.5, 0.3))
     found = compare(campaign("a", frequency=band), campaign("b", soft, frequency=band, seed=2))
     assert found["changed"] is True
+
+
+def test_what_cannot_differ_or_does_not_move_is_said(campaign: Callable[..., Path], tmp_path: Path) -> None:
+    first = campaign("a", frequency=DWELLS)
+    assert compare(first, tmp_path / "." / "a")["notes"][0] == "both are the folder a: nothing can differ"
+    copied = shutil.copytree(first, tmp_path / "copied")
+    assert "one folder is a copy of the other" in compare(first, copied)["notes"][0]
+    edit(copied, lambda row: row | {"flags": "at_rest"})
+    assert "copied: all targets are at rest: nothing moves" in compare(first, copied)["notes"]
+    swapped = campaign("b", frequency=DWELLS, seed=2)
+    sizes = {f"{name}{axis}_mm": "0.5" for name in ("sd_a", "sd_b") for axis in "xyz"}
+    edit(swapped, lambda row: row | sizes | {f"a{axis}_mm": "0.01" for axis in "xyz"})
+    assert any("are columns swapped?" in note for note in compare(first, swapped)["notes"])
+
+
+def test_a_campaign_without_phase_and_one_with_it(campaign: Callable[..., Path]) -> None:
+    signed = campaign("b", frequency=DWELLS, seed=2, phase=PhaseReference.TABLE)
+    notes = compare(campaign("a", frequency=DWELLS), signed)["notes"]
+    assert notes[0] == "only b shows phases throughout: signs and phases are not compared"
+
+
+def test_a_sweep_that_was_aborted_is_compared_as_far_as_it_went(campaign: Callable[..., Path]) -> None:
+    second = campaign("b", seed=2)
+    edit(second, lambda row: row if int(row["capture"]) < 9 else {})
+    found = compare(campaign("a"), second)
+    assert len(found["modes"]) == 1
+    assert any("only the band from 3.5 to 15.23 Hz was measured in both" in note for note in found["notes"])

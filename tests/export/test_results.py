@@ -52,8 +52,8 @@ def test_a_capture_without_a_file_has_unknown_facts(folder: Path):
     [
         (None, "labdaemon process"),
         ("", "no envelope yet"),
-        ("one,two\n1,2\n", "no envelope.csv of labdaemon"),
-        ("capture,target,ax_mm\nfive,T1,many\n", "no envelope.csv of labdaemon"),
+        ("one,two\n1,2\n", "its columns are one, two"),
+        ("capture,target,ax_mm\nfive,T1,many\n", "lacks the columns x_mm, y_mm"),
     ],
 )
 def test_results_that_cannot_be_read_are_named(folder: Path, text: str | None, said: str):

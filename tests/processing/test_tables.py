@@ -13,13 +13,13 @@ from labdaemon.envelope import TargetEnvelope
 from labdaemon.errors import DataError
 from labdaemon.flags import Flag
 from labdaemon.geometry.motion import ObjectMotion
+from labdaemon.processing.result_reader import read_csv
 from labdaemon.processing.tables import (
     ENVELOPE_COLUMNS,
     MEASUREMENT_COLUMNS,
     csv_text,
     envelope_row,
     measurement_row,
-    read_csv,
     write_csv,
 )
 
@@ -100,9 +100,9 @@ def test_the_covariance_is_in_the_row(tmp_path: Path) -> None:
 @given(st.floats(-1e6, 1e6), st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1))
 def test_file_and_row_agree_exactly(tmp_path_factory: pytest.TempPathFactory, value: float, name: str) -> None:
     path = tmp_path_factory.getbasetemp() / "rows.csv"
-    row = measurement_row(name, "left", measurement(value))
-    write_csv(path, MEASUREMENT_COLUMNS, [row, row])
-    assert read_csv(path) == [row, row]
+    rows = [measurement_row(name, camera, measurement(value)) for camera in ("left", "right")]
+    write_csv(path, MEASUREMENT_COLUMNS, rows)
+    assert read_csv(path) == rows
 
 
 def test_written_whole_or_not_at_all(tmp_path: Path) -> None:

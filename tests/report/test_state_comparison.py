@@ -16,6 +16,7 @@ from labdaemon.bench.campaign_folder import write_campaign
 from labdaemon.bench.shear_structure import Instrument, ShearStructure
 from labdaemon.cli.main import cli
 from labdaemon.errors import DataError
+from labdaemon.findings.response import FloatArray
 from labdaemon.processing import CaptureFacts
 from labdaemon.report.folder_page import report_folder
 from labdaemon.report.state_comparison import MAX_FIGURES, State, _common, state_svg
@@ -25,8 +26,8 @@ NAMES = tuple(f"{side}{i + 1}" for side in "LR" for i in range(4))
 STEPS_HZ = np.array([5.2, 8.0, 15.0])
 
 
-def write(folder: Path, structure: ShearStructure, seed: int) -> Path:
-    series = Instrument().measure(structure, STEPS_HZ, np.random.default_rng(seed))
+def write(folder: Path, structure: ShearStructure, seed: int, steps_hz: FloatArray = STEPS_HZ) -> Path:
+    series = Instrument().measure(structure, steps_hz, np.random.default_rng(seed))
     return write_campaign(folder, replace(series, targets=NAMES), structure.positions_mm())
 
 
@@ -50,6 +51,13 @@ def test_the_page_shows_a_storey_that_lost_stiffness(tmp_path: Path) -> None:
     assert "<h2>Change since before</h2>" in text
     assert "The structure changed" in text
     assert text.count("Baseline and present state") == len(STEPS_HZ)
+
+
+def test_the_page_lists_pairs_of_modes(tmp_path: Path) -> None:
+    sweep = STRUCTURE.modes()[0][0] * (1 + 0.01 * np.array([-8, -2, -1, -0.4, 0.4, 1, 2, 8]))
+    before, after = (write(tmp_path / name, STRUCTURE, seed, sweep) for name, seed in (("before", 1), ("after", 2)))
+    path, _ = report_folder(after, title="x", baseline=before)
+    assert "<td>1.0000" in path.read_text() or "<td>0.9999" in path.read_text()
 
 
 def test_two_campaigns_of_one_state_do_not_differ(tmp_path: Path) -> None:
