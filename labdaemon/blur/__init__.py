@@ -28,7 +28,7 @@ from labdaemon.blur.motion import (
 from labdaemon.blur.patch.ellipse import Ellipse, ellipse_from_moments, fit_ellipse
 from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.pixels import Dot, FloatArray, NoiseModel, Patch
-from labdaemon.blur.phase.light_check import is_light_mismatch
+from labdaemon.blur.phase.light_check import LightFault, find_light_fault
 from labdaemon.blur.phase.shared_waveform import SharedWaveform, estimate_waveform
 from labdaemon.blur.phase.signs import RelativeSigns, decide_sign, find_relative_signs
 from labdaemon.blur.phase.third_harmonic import ThirdHarmonic
@@ -62,6 +62,7 @@ __all__ = [
     "FloatArray",
     "InitialGuess",
     "LightCode",
+    "LightFault",
     "Measurement",
     "MotionHarmonics",
     "MotionWaveform",
@@ -81,10 +82,10 @@ __all__ = [
     "estimate_noise",
     "estimate_waveform",
     "failure_flags",
+    "find_light_fault",
     "find_relative_signs",
     "fit_ellipse",
     "fit_sharp",
-    "is_light_mismatch",
     "light_fraction",
     "make_textured_patch",
     "measure",

@@ -33,6 +33,10 @@ class LightSettings:
     """Squared standard deviations by which constant light must explain a frame better. Statistics: four sd."""
     light_mismatch_rms: float = 0.03
     """Root mean square correction, in parts of the full brightness, that counts. Trial: lamps fade and warm up."""
+    outlier_share: float = 0.25
+    """Largest share of targets that are left out of the check of the code because they contradict it most. Trial."""
+    least_eigenvalue: float = 1e-6
+    """Eigenvalue of a target's information, relative to the largest, below which a correction is not seen. Numerics."""
     min_ambient_targets: int = 4
     """Other targets of a frame from which their common ambient light replaces the stated one. Trial: their scatter must
     show."""

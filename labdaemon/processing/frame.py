@@ -26,7 +26,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
 from labdaemon.processing.group import holds_phase, is_part_cycle
-from labdaemon.processing.lamp_light import apply_lamp_light
+from labdaemon.processing.lamp_light import apply_lamp_light, describe_light
 from labdaemon.processing.located import LocatedTargets, cut_patch, fit_inputs, measure_first, measure_smears
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.motion_laws import MotionLaws
@@ -132,13 +132,14 @@ def measure_raw(
     motions = tuple(_camera_motion(camera, shift, control, f.path) for shift, f in zip(shifts, frames, strict=True))
     located_frames = [_locate_in(camera, *each) for each in zip(frames, greys, shifts, strict=True)]
     evidence: tuple[float, ...] = ()
+    light_notes: list[str] = []
     if method == "paper":
         found = _measure_mccarthy2016(camera, located_frames)
     elif len(frames) == 1 and not (windows[0] is not None and windows[0].is_coded):
         found = _measure_one(camera, located_frames[0], windows[0], laws)
         evidence = _evidence(camera, located_frames[0], windows[0], found)
     else:
-        found = _measure_together(camera, located_frames, windows, laws)
+        found, light_notes = _measure_together(camera, located_frames, windows, laws)
     found = [laws.with_unknown(one) for one in found]
     found = [_with_white(one, camera.targets[index], located_frames, index) for index, one in enumerate(found)]
     if any(_has_moved(located.shift) for located in located_frames) or any(
@@ -151,7 +152,7 @@ def measure_raw(
         tuple(located.shift for located in located_frames),
         tuple(motion for motion in motions if motion is not None),
         evidence,
-        tuple(note for frame in frames for note in frame.notes),
+        (*(note for frame in frames for note in frame.notes), *light_notes),
     )
 
 
@@ -270,18 +271,24 @@ def _measure_together(
     located_frames: Sequence[LocatedTargets],
     windows: Sequence[ExposureWindow | None],
     laws: MotionLaws,
-) -> list[Measurement]:
-    """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean."""
+) -> tuple[list[Measurement], list[str]]:
+    """Every target in all frames of a group: signed vectors where the windows hold phase, else the frames' mean.
+
+    With notes on frames whose light was not the stated code.
+    """
     phased = [window for window in windows if window is not None and holds_phase(window)]
     if len(phased) == len(windows):
         found = [
             _measure_phased(target, located_frames, phased, index, laws) for index, target in enumerate(camera.targets)
         ]
-        return apply_lamp_light(found, sum(window.is_coded for window in phased))
+        coded = [located.frame for located, window in zip(located_frames, phased, strict=True) if window.is_coded]
+        found, faults = apply_lamp_light(found, len(coded))
+        said = zip(coded, faults, strict=True)
+        return found, [f"{frame.path}: {describe_light(fault)}" for frame, fault in said if fault is not None]
     each = [
         _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
     ]
-    return [average_measurements(measured) for measured in zip(*each, strict=True)]
+    return [average_measurements(measured) for measured in zip(*each, strict=True)], []
 
 
 def _measure_phased(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from labdaemon.service.result_files import ResultFiles, captures_in, stamp
 SHARP_SETS_KEPT = 4
 """Prepared sharp sets in memory: the one in use, the one before it while its last captures are measured, and the first
 one of each campaign, whose names the others keep."""
+
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class PoolMeasurer:
@@ -41,6 +44,8 @@ class PoolMeasurer:
         """
         sharp_set = await self._sharp_set(folder, sharp)
         result = await asyncio.wrap_future(self._pool.submit(measure_capture, folder, sharp_set, tuple(captures), name))
+        for note in result.notes:
+            log.warning("%s: %s", name, note)
         return CaptureRows(list(result.envelope_rows), list(result.measurement_rows))
 
     async def check_frames(self, folder: Path, frames: Sequence[tuple[str, Path]]) -> None:

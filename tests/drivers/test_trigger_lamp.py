@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from labdrivers.ptp.codes import Prop
 from labdrivers.rts_trigger import RtsTrigger
 from labdrivers.sim.assembly import SimulatedRig, set_default_rig
 from labdrivers.sim.lamp_output import ArmedCode, LampOutput
+from labdrivers.sim.rig import ExposureJob
 from labdrivers.sim.wire import PtyPort
 from labdrivers.trigger_box import TriggerBox
 
@@ -78,6 +80,26 @@ def test_the_frame_was_lit_by_the_code(slow, trigger, shaker, camera):
     sectors = np.exp(2j * np.pi * (np.arange(7) + 0.5) / 7) * np.sinc(1 / 7)
     expected = np.dot(SEVEN, sectors) / sum(SEVEN) * np.exp(1j * played.phase_rad)
     assert abs(share - expected) < 0.01
+
+
+def test_a_late_thread_of_the_box_takes_no_light_from_a_frame(spec, tmp_path, monkeypatch):
+    """On a busy computer the shutter's thread may come first; with the box's stopped it always does."""
+    late = SimulatedRig(spec, cards=tmp_path, enable_wired=False)
+    jobs: list[ExposureJob] = []
+    try:
+        late.trigger.shut_down()
+        monkeypatch.setattr(late._pool, "render", lambda job: jobs.append(job) or b"")
+        opened_s = late.clock() - 1.0
+        late.rig.drive(opened_s - 1.0, frequency_hz=12.0, level_v=0.1, running=True)
+        late.lamp.armed = ArmedCode(tuple(int(255 * level) for level in SEVEN), 4, EXPOSURE_S, 0.0)
+        late.lamp.begin(1, opened_s - 0.06, (opened_s, opened_s))
+        late.bus.cameras["left"].body._exposer.expose(opened_s, EXPOSURE_S, iso=100, f_number=32.0)
+    finally:
+        late.shut_down()
+    lamp = jobs[0].lamp
+    assert lamp is not None
+    t = opened_s + (np.arange(20_000) + 0.5) / 20_000 * EXPOSURE_S
+    assert replace(lamp, ambient=0.0)(t).mean() * EXPOSURE_S == pytest.approx(4 / 12.0 * 4 / 7, rel=1e-3)
 
 
 def test_constant_light_before_and_after(slow, trigger, shaker, eventually):

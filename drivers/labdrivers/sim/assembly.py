@@ -65,14 +65,22 @@ class TableWires:
 
 
 class RigCamera:
-    """What one camera of the rig has before its lens."""
+    """What one camera of the rig has before its lens.
 
-    def __init__(self, rig: RigModel, name: str, pool: RenderPool) -> None:
-        self._rig, self._name, self._pool = rig, name, pool
+    Parameters
+    ----------
+    light_until_now
+        Brings the lamp's history up to the present: on a busy computer the thread of the box that switches the lamp may
+        come after the one of the shutter that has closed.
+    """
+
+    def __init__(self, rig: RigModel, name: str, pool: RenderPool, light_until_now: Callable[[], None]) -> None:
+        self._rig, self._name, self._pool, self._light_until_now = rig, name, pool, light_until_now
         self.lag_s = rig.spec.cameras[name].opening_lag_s
 
     def expose(self, opened_s: float, exposure_s: float, *, iso: int, f_number: float) -> bytes:
         """Render the exposure that has just ended."""
+        self._light_until_now()
         stamp = time.strftime("%Y:%m:%d %H:%M:%S")
         job = self._rig.exposure_job(self._name, opened_s, exposure_s, iso=iso, f_number=f_number, captured_at=stamp)
         return self._pool.render(job)
@@ -108,7 +116,8 @@ class SimulatedRig:
         bodies = []
         for name, camera in self.rig.spec.cameras.items():
             card = MemoryCard(None if cards is None else cards / name)
-            body = PtpBody(camera.serial, RigCamera(self.rig, name, self._pool), card=card, clock=self.clock)
+            exposer = RigCamera(self.rig, name, self._pool, self._light_until_now)
+            body = PtpBody(camera.serial, exposer, card=card, clock=self.clock)
             bodies.append(body)
             self.bus.add(name, UsbCamera(body))
         self.shaker = ScpiDevice(table)
@@ -123,6 +132,10 @@ class SimulatedRig:
             "gauge-response": GaugeDevice(self.rig.response_mm, clock=self.clock, seed=2),
             "shutter": ShutterCable(bodies, clock=self.clock),
         }
+
+    def _light_until_now(self) -> None:
+        """The trigger box is made after the cameras that it releases."""
+        self.trigger.catch_up()
 
     def moving(self) -> bool:
         """Whether the table is moving now."""

@@ -156,13 +156,18 @@ class TriggerDevice(WireDevice):
                 self._request(frame.sequence, " ".join(frame.words))
         del self._input[:-200]
 
+    def catch_up(self) -> None:
+        """Do with the lamp what is due by now: the chip's timers do not wait for a thread of this computer."""
+        with self._state:
+            if self.lamp is not None:
+                self.lamp.advance(self._clock(), self._sync)
+
     def _request(self, sequence: int, text: str) -> None:
         if self.faults.strike("reboots"):
             self._restart()
             return
         with self._state:
-            if self.lamp is not None:  # the chip's timers do not wait for a thread of this computer
-                self.lamp.advance(self._clock(), self._sync)
+            self.catch_up()
             if (sequence, text) == self._served[:2] and text != "ID":
                 reply = self._served[2]
             else:

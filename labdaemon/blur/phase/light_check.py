@@ -10,7 +10,8 @@ lamp that is not wired, a wrong phase between the frames of a group, or ambient 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,6 +26,8 @@ from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory, window_orb
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import light_parts
+
+_Item = TypeVar("_Item")
 
 
 def score_light(
@@ -62,29 +65,65 @@ def score_light(
     return tuple(scores)
 
 
-def is_light_mismatch(scores: Sequence[LightScore]) -> bool:
-    """Whether the targets of a frame together contradict its code.
+@dataclass(frozen=True, slots=True)
+class LightFault:
+    """How the light of a frame differed from the code that was stated.
+
+    Attributes
+    ----------
+    is_constant
+        Whether constant light explains the images better than the code.
+    rms
+        Root mean square of the corrections of the brightness that the images ask for, in parts of the lamp's full
+        brightness; 0 under constant light.
+    """
+
+    is_constant: bool
+    rms: float = 0.0
+
+
+def find_light_fault(scores: Sequence[LightScore]) -> LightFault | None:
+    """How the targets of a frame together contradict its code; None where they do not.
+
+    Those that contradict it most are left out, so that single targets with a wrong fit do not speak for all.
 
     Parameters
     ----------
     scores
         Of the frame's targets, for the same code.
     """
-    if not scores:
-        return False
-    if sum(one.constant_excess for one in scores) < -LIGHT.constant_light_gain:
-        return True
-    information = np.sum([one.information for one in scores], axis=0)
-    score = np.sum([one.score for one in scores], axis=0)
+    excess = [one.constant_excess for one in scores if abs(one.constant_excess) > 1.0]
+    if sum(_without_worst(excess, [-value for value in excess])) < -LIGHT.constant_light_gain:
+        return LightFault(is_constant=True)
+    kept = _without_worst(scores, [_own_chi2(one) for one in scores])
+    if not kept:
+        return None
+    information = np.sum([one.information for one in kept], axis=0)
+    score = np.sum([one.score for one in kept], axis=0)
     values, vectors = np.linalg.eigh(information)
     # All parts brighter, or the code turned with all phases, is not seen at all.
     seen = values > LIGHT.light_correction_sd**-2
     if not seen.any():
-        return False
+        return None
     along = vectors[:, seen].T @ score
     significant = float(np.sum(along**2 / values[seen])) > chi2.isf(LIGHT.light_mismatch_probability, int(seen.sum()))
     rms = float(np.sqrt(np.sum((along / values[seen]) ** 2) / len(score)))
-    return bool(significant and rms > LIGHT.light_mismatch_rms)
+    return LightFault(is_constant=False, rms=rms) if significant and rms > LIGHT.light_mismatch_rms else None
+
+
+def _own_chi2(one: LightScore) -> float:
+    """By how many squared standard deviations a target alone contradicts the code."""
+    values, vectors = np.linalg.eigh(one.information)
+    seen = values > LIGHT.least_eigenvalue * max(float(values[-1]), 1.0)
+    along = vectors[:, seen].T @ one.score
+    return float(np.sum(along**2 / values[seen]))
+
+
+def _without_worst(items: Sequence[_Item], badness: Sequence[float]) -> list[_Item]:
+    """The items without those of largest badness, in their order; all where there are few."""
+    order = sorted(range(len(items)), key=lambda index: badness[index])
+    kept = order[: len(order) - int(LIGHT.outlier_share * len(order))]
+    return [items[index] for index in sorted(kept)]
 
 
 def _constant_excess(frame_set: FrameSet, solution: Solution, moment_px2: FloatArray) -> float:

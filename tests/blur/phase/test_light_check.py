@@ -11,8 +11,8 @@ from labdaemon.blur import (
     ExposureWindow,
     InitialGuess,
     LightCode,
+    find_light_fault,
     fit_sharp,
-    is_light_mismatch,
     measure_group,
     named_code,
 )
@@ -53,28 +53,42 @@ def scores(area, sharp, played: tuple[float, ...]) -> list[LightScore]:
 
 
 def test_the_code_that_was_stated_is_believed(area, sharp) -> None:
-    assert not is_light_mismatch(scores(area, sharp, SEVEN))
+    assert find_light_fault(scores(area, sharp, SEVEN)) is None
 
 
-@pytest.mark.parametrize("played", [(1.0, 1.0), named_code("1101000")], ids=["not wired", "another code"])
-def test_light_that_was_not_stated_is_seen(area, sharp, played) -> None:
-    assert is_light_mismatch(scores(area, sharp, played))
+@pytest.mark.parametrize(
+    ("played", "is_constant"), [((1.0, 1.0), True), (named_code("1101000"), False)], ids=["not wired", "another code"]
+)
+def test_light_that_was_not_stated_is_seen_for_what_it_is(area, sharp, played, is_constant) -> None:
+    fault = find_light_fault(scores(area, sharp, played))
+    assert fault is not None
+    assert fault.is_constant is is_constant
+    assert (fault.rms > 0.03) is not is_constant
 
 
 def test_a_correction_counts_when_it_is_both_certain_and_large() -> None:
     information = np.diag([1e6, 1e6, 1.0])
-    assert is_light_mismatch([LightScore(information, information @ [0.2, 0.0, 0.0])])
-    assert not is_light_mismatch([LightScore(information, information @ [0.01, 0.0, 0.0])])  # certain, and small
-    assert not is_light_mismatch([LightScore(information, information @ [0.0, 0.0, 0.9])])  # large, and not seen
-    assert not is_light_mismatch([])
+    assert find_light_fault([LightScore(information, information @ [0.2, 0.0, 0.0])]) is not None
+    assert find_light_fault([LightScore(information, information @ [0.01, 0.0, 0.0])]) is None  # certain, and small
+    assert find_light_fault([LightScore(information, information @ [0.0, 0.0, 0.9])]) is None  # large, and not seen
+    assert find_light_fault([]) is None
 
 
 def test_targets_add_up() -> None:
     """What one target does not show, many do."""
     information = np.diag([500.0, 500.0, 1.0])
     one = LightScore(information, information @ [0.15, 0.0, 0.0])
-    assert not is_light_mismatch([one])
-    assert is_light_mismatch([one] * 10)
+    assert find_light_fault([one]) is None
+    assert find_light_fault([one] * 10) is not None
+
+
+def test_single_targets_with_a_wrong_fit_do_not_speak_for_all() -> None:
+    right = LightScore(1e4 * np.eye(3), 1e4 * np.array([0.004, 0.0, -0.003]), 80.0)
+    wrong = LightScore(1e4 * np.eye(3), 1e4 * np.array([0.9, -0.9, 0.4]), -5e3)
+    assert find_light_fault([right] * 7 + [wrong]) is None
+    assert find_light_fault([right] * 3 + [wrong] * 5) is not None
+    resting = LightScore(1e-3 * np.eye(3), np.zeros(3), -0.2)
+    assert find_light_fault([resting] * 20 + [wrong] * 4) is not None
 
 
 def test_targets_near_rest_are_measured_under_coded_light(area, sharp) -> None:
