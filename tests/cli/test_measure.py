@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from labdaemon.cli.main import main
-from labdaemon.processing.tables import MEASUREMENT_COLUMNS, read_csv
+from labdaemon.processing.result_reader import read_csv
+from labdaemon.processing.tables import MEASUREMENT_COLUMNS
 
 PLACES = np.array([(90.3, 80.2), (230.7, 81.1), (91.2, 200.4), (231.5, 199.6)])
 MOTION = np.array([(3.0, 0.0), (0.0, 5.0), (2.0, 2.0), (6.0, -1.0)])

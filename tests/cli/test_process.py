@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from labdaemon.cli.main import main
-from labdaemon.processing.tables import read_csv
+from labdaemon.processing.result_reader import read_csv
 from labdrivers.sim.folder import make_folder
 
 

@@ -12,7 +12,8 @@ import pytest
 
 from labdaemon.cli.measure import measure
 from labdaemon.processing import process_folder
-from labdaemon.processing.tables import Row, read_csv
+from labdaemon.processing.result_reader import read_csv
+from labdaemon.processing.tables import Row
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from labdaemon.errors import DataError
-from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, read_csv, write_csv
+from labdaemon.processing.result_reader import read_csv
+from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, write_csv
 from labdaemon.report.frame_view import WIDTH_PX, frame_view
 from labdaemon.report.overlay import CLEAN
 
