@@ -31,7 +31,7 @@ FLOOR = 1e-30
 """Smallest diagonal element that is divided by: a parameter that nothing determines keeps its value. Numerics."""
 
 SHOWS = 1e-14
-"""Eigenvalue of a scaled normal matrix, relative to its largest, below which nothing determines a direction. Numerics."""
+"""Eigenvalue of a scaled normal matrix, in parts of its largest, below which a direction does not show. Numerics."""
 
 
 class Linearisation(Protocol):

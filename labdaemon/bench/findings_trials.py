@@ -69,7 +69,7 @@ def random_structure(rng: np.random.Generator, per_column: int = 4) -> ShearStru
 
 
 def run_resonance(seed: int, goal: ResonanceGoal | None = None) -> tuple[ResonanceTrial, ShearStructure]:
-    """Let a closed-loop sweep find the modes of a random structure."""
+    """Let a closed-loop sweep find the modes of a random structure, one capture measured behind, as the daemon's."""
     rng = np.random.default_rng([seed, 14])
     structure, instrument = random_structure(rng), Instrument()
     goal = goal or ResonanceGoal(BAND_HZ)
@@ -80,14 +80,26 @@ def run_resonance(seed: int, goal: ResonanceGoal | None = None) -> tuple[Resonan
         """The rule by which the instrument sets the table, with what is known of the structure so far."""
         return instrument.table_at(response_of(known, frequency_hz))
 
+    last: ResponseSeries | None = None  # captured, and measured while the table goes to the next step
     while True:
+        pending = [] if last is None else [(float(last.frequency_hz[0]), float(last.table_mm[0]))]
         decision = decide(
-            series, fitted, goal, sd_mm=instrument.sd_mm, sd_table=instrument.sd_table, table_mm=expected_table
+            series,
+            fitted,
+            goal,
+            sd_mm=instrument.sd_mm,
+            sd_table=instrument.sd_table,
+            table_mm=expected_table,
+            pending=pending,
         )
+        if last is not None:
+            series, last = joined(series, last), None
+        if decision.is_provisional:
+            continue
         fitted = decision.fit
         if decision.frequency_hz is None:
             break
-        series = joined(series, instrument.measure(structure, np.array([decision.frequency_hz]), rng))
+        last = instrument.measure(structure, np.array([decision.frequency_hz]), rng)
     return judge_resonance(series, fitted, structure), structure
 
 

@@ -252,10 +252,10 @@ class MeasurementQueue:
         for capture in records.captures(self._recorder.journal, campaign, "stored"):
             await self.add(capture)
 
-    async def drain(self) -> None:
-        """Wait until the queue is empty."""
-        while self._tasks:
-            await asyncio.wait(list(self._tasks.values()))
+    async def drain(self, leave: int = 0) -> None:
+        """Wait until the queue is empty, or until no more than `leave` captures or groups are in it."""
+        while len(self._tasks) > leave:
+            await asyncio.wait(list(self._tasks.values()), return_when=asyncio.FIRST_COMPLETED)
             await asyncio.sleep(0)
         self._raise_if_broken()
 

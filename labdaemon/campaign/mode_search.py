@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 LEAST_AMPLITUDE = 0.02
 """The table's amplitude is lowered to this part of the largest one at most."""
 
+MOST_PENDING = 1
+"""Captures that may still be measured when a step is decided."""
+
 log: logging.Logger = logging.getLogger(__name__)
 
 
@@ -48,15 +51,31 @@ class StepChooser:
         self._recorder, self._queue = recorder, queue
 
     async def decide(self, campaign: str, plan: Plan, step: Step) -> None:
-        """Decide an open step, once all captures before it are measured; the journal has the decision then."""
+        """Decide an open step, once the captures before it are measured that it hangs on; the journal has it then.
+
+        The last capture may still be in the queue: while it is measured, the table settles at the next step.
+        """
         await self._queue.enqueue_stored(campaign)
-        await self._queue.drain()
-        decision = await self._recorder.in_background(decide_step, self._recorder.journal, campaign, plan, step)
+        await self._queue.drain(MOST_PENDING)
+        decision = await self._recorder.in_background(_decide_now, self._recorder.journal, campaign, plan, step)
+        if decision is None:
+            await self._queue.drain()
+            decision = await self._recorder.in_background(decide_step, self._recorder.journal, campaign, plan, step)
+        assert decision is not None
         log.info("search %d, step %d: %s", decision.search, decision.step, decision.reason)
         await self._recorder.write(transitions.decide_step, campaign, decision)
 
 
-def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> DecisionData:
+def _decide_now(journal: Journal, campaign: str, plan: Plan, step: Step) -> DecisionData | None:
+    """As `decide_step`, with whatever is not measured yet pending."""
+    stored = {capture.step for capture in records.captures(journal, campaign, "stored") if not capture.is_sharp}
+    pending = [one.index for one in plan.steps if one.phase == step.phase and one.index in stored]
+    return decide_step(journal, campaign, plan, step, pending)
+
+
+def decide_step(
+    journal: Journal, campaign: str, plan: Plan, step: Step, pending: Sequence[int] = ()
+) -> DecisionData | None:
     """What the journal's envelopes say about an open step.
 
     Parameters
@@ -65,25 +84,35 @@ def decide_step(journal: Journal, campaign: str, plan: Plan, step: Step) -> Deci
         With all decisions so far.
     step
         The first one of its search that is open.
+    pending
+        Steps of this search that count as captured and not measured yet.
+
+    Returns
+    -------
+    DecisionData or None
+        None where the pending steps may lead to another decision.
     """
     assert step.search is not None
     search = plan.searches[step.search]
     if search.source is not None:
         return _next_peak(search, step, list(decisions_of(journal, campaign).values()))
     if search.sweep is not None:
-        return _end_of_sweep(journal, campaign, search, plan, step)
+        return None if pending else _end_of_sweep(journal, campaign, search, plan, step)
     # Loaded where it is asked for: the table must be at rest before anything heavy is loaded.
     from labdaemon.findings.envelope_series import envelope_series
 
     before = [one for one in plan.steps if one.search == step.search and one.index < step.index]
-    measured = measured_steps(journal, campaign, before)
+    measured = measured_steps(journal, campaign, [one for one in before if one.index not in pending])
     series = envelope_series(measured).series if measured else None
     if series is None or not series.valid().any():
+        if pending:
+            return None
         reason = "no capture of this search has a target without a flag"
         return DecisionData(step=step.index, search=search.number, reason=reason, is_reached=False)
     decided = decisions_of(journal, campaign).values()
     earlier = [one for one in decided if one.search == search.number and one.step < step.index]
-    return _next_step(search, step, series, earlier[-1] if earlier else None)
+    waiting = [one for one in before if one.index in pending]
+    return _next_step(search, step, series, earlier[-1] if earlier else None, waiting)
 
 
 def _end_of_sweep(journal: Journal, campaign: str, search: SearchPlan, plan: Plan, end: Step) -> DecisionData:
@@ -157,7 +186,13 @@ def measured_steps(journal: Journal, campaign: str, steps: Sequence[Step]) -> li
     return found
 
 
-def _next_step(search: SearchPlan, step: Step, series: ResponseSeries, earlier: DecisionData | None) -> DecisionData:
+def _next_step(
+    search: SearchPlan,
+    step: Step,
+    series: ResponseSeries,
+    earlier: DecisionData | None,
+    waiting: Sequence[Step],
+) -> DecisionData | None:
     import numpy as np
 
     from labdaemon.findings.closed_loop import ResonanceGoal, decide, fit_poles
@@ -173,12 +208,16 @@ def _next_step(search: SearchPlan, step: Step, series: ResponseSeries, earlier: 
     def table_mm(fitted: ModalFit, frequency_hz: FloatArray) -> FloatArray:
         return _table_mm(search, fitted, frequency_hz)
 
-    found = decide(series, known, goal, sd_mm=sd_mm, sd_table=sd_table, table_mm=table_mm)
+    pending = [(one.frequency_hz or 0.0, one.amplitude_mm or 0.0) for one in waiting]
+    found = decide(series, known, goal, sd_mm=sd_mm, sd_table=sd_table, table_mm=table_mm, pending=pending)
+    if found.is_provisional:
+        return None
     about = DecisionData(
         step=step.index,
         search=search.number,
         reason=found.reason,
         measured=series.steps,
+        pending=tuple(one.index for one in waiting),
         modes=_estimates(found.fit, search),
         residual_terms=None if found.fit is None else found.fit.problem.basis.residual_terms,
     )

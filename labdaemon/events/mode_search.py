@@ -39,6 +39,8 @@ class DecisionData(EventPart):
         Why, in a few words.
     measured
         Number of steps with results that this was decided from.
+    pending
+        Steps that were captured and not measured yet; they counted as what the model expects of them.
     modes
         The modes as they are known now, in ascending frequency.
     residual_terms
@@ -54,6 +56,7 @@ class DecisionData(EventPart):
     hold_s: float = 0.0
     reason: str = ""
     measured: int = 0
+    pending: tuple[int, ...] = ()
     modes: tuple[ModeEstimate, ...] = ()
     residual_terms: int | None = None
     is_reached: bool | None = None

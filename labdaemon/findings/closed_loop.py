@@ -8,8 +8,8 @@ the search begins anew, with one more step in the widest gap.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -18,14 +18,16 @@ from labdaemon.findings.find_modes import SIGNIFICANCE, find_modes, unusable_pol
 from labdaemon.findings.linearise import ModalProblem
 from labdaemon.findings.modal_basis import ModalBasis, ModeForm
 from labdaemon.findings.modal_fit import ModalFit, initial_parameters, refit, response_of
-from labdaemon.findings.next_frequency import candidate_frequencies, next_frequency
+from labdaemon.findings.next_frequency import candidate_frequencies, next_frequency, with_expected_steps
 from labdaemon.findings.phase_retrieval import fit_with_signs, with_residues
 from labdaemon.findings.response import FloatArray, PhaseReference, ResponseSeries
-from labdaemon.findings.signed_steps import without_signs
+from labdaemon.findings.signed_steps import with_signed_steps, without_signs
 
 CLOSED_RATIO = 1.004
 """Ratio of neighbouring steps below which no mode hides between them."""
-FIRST_RATIO = 1.07
+INFORMATIVE = "here a step gives most information"
+"""Why a step is taken once the model explains all steps."""
+FIRST_RATIO = 1.10
 """Ratio of neighbouring frequencies of the first sweep."""
 
 
@@ -63,12 +65,15 @@ class SweepDecision:
         Why, in a few words.
     is_reached
         Whether it is complete because all modes are known as well as was wanted.
+    is_provisional
+        Whether it hangs on steps that are captured and not measured yet: to be asked again when they are.
     """
 
     frequency_hz: float | None
     fit: ModalFit | None
     reason: str
     is_reached: bool = False
+    is_provisional: bool = False
 
 
 def first_sweep(band_hz: tuple[float, float], ratio: float = FIRST_RATIO) -> FloatArray:
@@ -85,8 +90,13 @@ def decide(
     sd_mm: float,
     sd_table: float,
     table_mm: float | Callable[[ModalFit, FloatArray], FloatArray],
+    pending: Sequence[tuple[float, float]] = (),
 ) -> SweepDecision:
     """The next frequency after the steps so far.
+
+    A step that is captured and not measured yet counts with what the model expects of it, so that the table need not
+    wait for the measurement. Only a step that gives most information is chosen so: what ends the sweep, or looks for
+    another mode, is provisional until all steps are measured.
 
     Parameters
     ----------
@@ -97,15 +107,34 @@ def decide(
     sd_mm, sd_table, table_mm
         Expected of the next step. The table's amplitude is a number, or a rule that gives it at each frequency: near a
         resonance a table moves less than it can.
+    pending
+        Frequency (Hz) and table amplitude (mm) of each step that is captured and not measured yet.
     """
+    decision = _decide(series, known, goal, sd_mm=sd_mm, sd_table=sd_table, table_mm=table_mm, pending=pending)
+    is_provisional = bool(pending) and decision.reason != INFORMATIVE
+    return replace(decision, is_provisional=is_provisional)
+
+
+def _decide(
+    series: ResponseSeries,
+    known: ModalFit | None,
+    goal: ResonanceGoal,
+    *,
+    sd_mm: float,
+    sd_table: float,
+    table_mm: float | Callable[[ModalFit, FloatArray], FloatArray],
+    pending: Sequence[tuple[float, float]],
+) -> SweepDecision:
     level = SIGNIFICANCE / goal.most_steps  # the question is asked after each step
-    series = without_signs(series)  # where only some steps show phase, amplitudes are what the search goes by
-    fitted = _continue(series, known, goal)
+    amplitudes = without_signs(series)  # poles are searched and continued by amplitudes
+    fitted = _continue(amplitudes, known, goal)
     if fitted is None:
-        found = find_modes(series, band_hz=goal.band_hz)
-        fitted = found.fit
-    if series.steps >= goal.most_steps:
-        return SweepDecision(None, fitted, f"{series.steps} steps are as many as were allowed")
+        fitted = find_modes(amplitudes, band_hz=goal.band_hz).fit
+    if fitted is not None and fitted.modes and series.signed_steps().any():
+        # Complex residues show in phases alone; taken for real they leave amplitudes unexplained.
+        fitted, _ = with_signed_steps(fitted, series)
+    if series.steps + len(pending) >= goal.most_steps:
+        return SweepDecision(None, fitted, f"{series.steps + len(pending)} steps are as many as were allowed")
     if fitted is None or not is_explained(fitted, level):
         return SweepDecision(near_misfit(series, fitted), fitted, "the model does not explain all steps")
     if not fitted.modes:
@@ -113,8 +142,12 @@ def decide(
             return SweepDecision(widest_gap(series.frequency_hz), fitted, "no mode is seen yet")
         return SweepDecision(None, fitted, "the band has no mode that shows")
     candidates = candidate_frequencies(fitted, goal.band_hz)
+    expected = fitted
+    if pending:
+        frequency_hz, amplitude_mm = np.array(pending).T
+        expected = with_expected_steps(fitted, frequency_hz, amplitude_mm, sd_mm=sd_mm, sd_table=sd_table)
     step = next_frequency(
-        fitted,
+        expected,
         candidates,
         sd_mm=sd_mm,
         sd_table=sd_table,
@@ -123,7 +156,7 @@ def decide(
     )
     if step is None:
         return SweepDecision(None, fitted, "all modes are known as well as was wanted", is_reached=True)
-    return SweepDecision(step.frequency_hz, fitted, "here a step gives most information")
+    return SweepDecision(step.frequency_hz, fitted, INFORMATIVE)
 
 
 def fit_poles(series: ResponseSeries, frequency_hz: FloatArray, damping: FloatArray, residual_terms: int) -> ModalFit:

@@ -106,6 +106,11 @@ class ModalProblem:
             is_noise_known=False,
         )
 
+    def over(self, series: ResponseSeries) -> ModalProblem:
+        """The same question, asked of another series."""
+        problem = ModalProblem.of(series, self.basis, self.is_real)
+        return replace(problem, is_background_real=self.is_background_real)
+
     @classmethod
     def of(cls, series: ResponseSeries, basis: ModalBasis, is_real: bool) -> ModalProblem:
         """Prepare a series."""

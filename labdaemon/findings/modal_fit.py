@@ -208,7 +208,7 @@ def _freedom(problem: ModalProblem, at: ModalParameters) -> int:
 
 def refit(fitted: ModalFit, series: ResponseSeries) -> ModalFit:
     """Fit the same modes to a series with more steps behind those of `fitted`."""
-    problem = ModalProblem.of(series, fitted.problem.basis, fitted.problem.is_real)
+    problem = fitted.problem.over(series)
     before = fitted.parameters
     more = np.zeros(series.steps - len(before.gain))
     start = replace(

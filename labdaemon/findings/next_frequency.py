@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.findings.linearise import ModalProblem
-from labdaemon.findings.modal_fit import ModalFit
+from labdaemon.findings.modal_fit import ModalFit, refit
 from labdaemon.findings.response import FloatArray, ResponseSeries
 
 IndexArray = NDArray[np.intp]
@@ -81,6 +80,22 @@ def next_frequency(
     return NextStep(float(candidates_hz[best]), float(gains[best]))
 
 
+def with_expected_steps(
+    fitted: ModalFit, frequency_hz: FloatArray, table_mm: FloatArray, *, sd_mm: float, sd_table: float
+) -> ModalFit:
+    """The fit as it will be once these steps are measured, if they show what it predicts.
+
+    Parameters
+    ----------
+    frequency_hz, table_mm
+        (K,) excitation of steps that are captured and not measured yet.
+    sd_mm, sd_table
+        As for `next_frequency`.
+    """
+    expected = _candidate_steps(fitted, frequency_hz, table_mm, sd_mm, sd_table)
+    return refit(fitted, joined(fitted.problem.series, expected))
+
+
 def _poles_that_count(fitted: ModalFit, wanted: tuple[float, float] | None) -> IndexArray:
     if wanted is None:
         return np.arange(2 * fitted.modes)
@@ -104,7 +119,7 @@ def _candidate_steps(
         sd_table=np.full(len(frequency), sd_table),
         at_rest=None,
         sd_phase_rad=np.full(len(frequency), float(np.median(series.sd_phase()))),
-        signed=None,
+        signed=None if series.signed is None else np.full(len(frequency), bool(series.signed[-1])),
     )
     zero = np.zeros(len(frequency))
     parameters = replace(fitted.parameters, gain=zero, phase_rad=zero)
@@ -142,7 +157,7 @@ def information_gains(fitted: ModalFit, candidates: ResponseSeries, index: Index
         Positions among the shared parameters; all others are eliminated.
     """
     steps, count = fitted.problem.series.steps, candidates.steps
-    problem = ModalProblem.of(joined(fitted.problem.series, candidates), fitted.problem.basis, fitted.problem.is_real)
+    problem = fitted.problem.over(joined(fitted.problem.series, candidates))
     zero = np.zeros(count)
     before = fitted.parameters
     gain, phase = np.concatenate([before.gain, zero]), np.concatenate([before.phase_rad, zero])

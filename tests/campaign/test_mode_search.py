@@ -116,6 +116,7 @@ def test_modes_of_an_unknown_structure_are_found(simulate):
             assert abs(mode.damping - damping) < 4 * mode.sd_damping
         taken = records.captures_by_step(lab.journal, id)
         assert len(taken) - 1 == end.measured == len(first) + len(decisions) - 1 < 40
+        assert not end.pending, "what ends a search waits for all envelopes"
         assert 0 < largest < 5.5, "the model keeps the motion near what was asked for"
         events = [event for event in lab.journal.events_after(0, 10_000) if event.kind == "step.decided"]
         assert [DecisionData.model_validate(event.data) for event in events] == decisions
@@ -131,7 +132,7 @@ def check_decisions(lab: FakeLab, id: str) -> None:
     plan, decisions = lab.plan(QUICK), decisions_of(lab.journal, id)
     as_decided = with_decisions(plan, decisions)
     for index, decision in decisions.items():
-        assert decide_step(lab.journal, id, as_decided, plan.steps[index]) == decision
+        assert decide_step(lab.journal, id, as_decided, plan.steps[index], decision.pending) == decision
 
 
 @pytest.mark.parametrize("transition", ["before step.decided", "step.decided", "envelope"])
