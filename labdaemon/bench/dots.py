@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,12 @@ from labdaemon.blur import Dot, FloatArray, NoiseModel, Patch, SharpTarget, fit_
 PX_PER_MM = 24.0 / 6.1
 RADIUS_MM = 4.0
 TEXTURE_MM = 0.3
+"""Length over which the simulator's paper texture is correlated, exp(−r²/(2·length²)): √2 of `NoiseModel`'s."""
 MARGIN_PX = 16
+DIFFRACTION_PX = 2.8
+"""Wavelength times f-number at f/32, mean of the mosaic's colours."""
+OWN_LENS_SIGMA_PX = 0.13
+"""What the simulated lens blurs besides."""
 PLAIN_NOISE = NoiseModel(read_dn=7.0 / 8.5, gain_dn=1.0 / 8.5)
 """Of a D80, without the paper's texture."""
 
@@ -36,12 +42,14 @@ class DotBench:
     white_dn: float = 0.825 * 2900.0
     """Paper white, mean over a mosaic of the colours' sensitivities."""
     lens_sigma_px: float = 1.25
-    """Gaussian that approximates diffraction at f/32."""
+    """Gaussian that approximates diffraction at f/32 where paper texture is blurred (not where the dot is)."""
 
     def __init__(self, seed: int, texture: float) -> None:
         self._rng, self._render = np.random.default_rng(seed), renderer()
         self._seed, self._texture = seed, texture
-        self.noise: NoiseModel = NoiseModel(7.0 / 8.5, 1.0 / 8.5, texture, TEXTURE_MM * PX_PER_MM)
+        paper = replace(PLAIN_NOISE, texture=texture, texture_px=TEXTURE_MM * PX_PER_MM / np.sqrt(2.0))
+        self.noise: NoiseModel = paper.seen_through(self.lens_sigma_px)
+        """Of the images; the fits estimate it from the sharp ones, as those of a folder do."""
 
     def angle(self) -> float:
         """Any angle."""
@@ -52,7 +60,7 @@ class DotBench:
         patch = self._photograph(amplitude_mm, paper, None)
         middle = (patch.shape[0] - 1) / 2
         dot = Dot(middle, middle, RADIUS_MM * PX_PER_MM, RADIUS_MM * PX_PER_MM, 0.0, name=f"T{paper}")
-        return fit_sharp(dot, [patch], noise=self.noise)
+        return fit_sharp(dot, [patch])
 
     def blurred(
         self,
@@ -83,7 +91,8 @@ class DotBench:
     def _photograph(self, amplitude_mm: float, paper: int, motion: object) -> Patch:
         half = int(np.ceil((RADIUS_MM + 1.15 * amplitude_mm) * PX_PER_MM)) + MARGIN_PX
         size = 2 * half + 1
-        sheet = (size + 40) / PX_PER_MM
+        # The paper moves with the dot: its edges stay out of the patch.
+        sheet = (size + 60) / PX_PER_MM + 2.5 * amplitude_mm
         target = {"name": "T", "centre_mm": (0.0, 0.0, 0.0), "diameter_mm": 2 * RADIUS_MM, "paper_mm": (sheet, sheet)}
         scene = {
             "targets": [target],

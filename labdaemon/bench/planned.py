@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import click
 import numpy as np
 
+from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX
 from labdaemon.bench.simulator import Motion, Renderer, renderer
 from labdaemon.blur import (
     Defocus,
@@ -41,7 +42,8 @@ PX_PER_MM = 24.0 / 6.1
 DOT_MM = 8.0
 WHITE_DN = 2900.0
 TEXTURE, TEXTURE_MM = 0.004, 0.3
-NOISE = NoiseModel(7.0 / 8.5, 1.0 / 8.5, TEXTURE, TEXTURE_MM * PX_PER_MM / math.sqrt(2.0))
+LENS_SIGMA_PX = 1.25
+NOISE = NoiseModel(7.0 / 8.5, 1.0 / 8.5, TEXTURE, TEXTURE_MM * PX_PER_MM / math.sqrt(2.0)).seen_through(LENS_SIGMA_PX)
 SHARP_FRAMES, TRIALS_A_SHEET = 3, 3
 FREQUENCY_HZ, NOMINAL_S = 5.0, 1.0
 CASES: tuple[tuple[str, Goal, str, Lamp | None], ...] = (
@@ -94,7 +96,14 @@ def plan_case(goal: Goal, extra: str, lamp: Lamp | None, amplitude_mm: float) ->
     )
     limits = ShakerLimits(150.0, 1000.0, 20_000.0, (0.5, 50.0))
     rig = PlanRig(limits, {"camera": third_stop_steps_s()}, lamp=lamp)
-    dot = DotImage(lens_sigma_px=1.25, white_dn=WHITE_DN, ink=0.05, noise=NOISE)
+    dot = DotImage(
+        lens_sigma_px=OWN_LENS_SIGMA_PX,
+        white_dn=WHITE_DN,
+        ink=0.05,
+        noise=NOISE,
+        sharp_frames=SHARP_FRAMES,
+        diffraction_px=DIFFRACTION_PX,
+    )
     expected = Expectation((amplitude_mm,), ImageScale(PX_PER_MM, DOT_MM), dot, sd_opening_s=0.0)
     phase = load_campaign(toml).section.phase[0]
     return DesignSearch(rig, expected, goal).best(phase, FREQUENCY_HZ, amplitude_mm)  # type: ignore[arg-type]
@@ -183,9 +192,7 @@ class DotCamera:
         """The dot at rest, by the mean of several frames."""
         patches = [self.photograph(None, 1.0) for _ in range(SHARP_FRAMES)]
         radius_px = DOT_MM / 2 * PX_PER_MM
-        return fit_sharp(
-            Dot(self._half + 0.3, self._half - 0.2, radius_px, radius_px, 0.0, name="T"), patches, noise=NOISE
-        )
+        return fit_sharp(Dot(self._half + 0.3, self._half - 0.2, radius_px, radius_px, 0.0, name="T"), patches)
 
     def motion(self, window: ExposureWindow, phase_rad: float, scale: float = 1.0) -> Motion:
         """The motion over an exposure, by the light that it gets: time runs from 0 to 1 as light comes in."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from labdaemon.bench.bound import LENS_SIGMA_PX, PX_PER_MM
+from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX, TEXTURE_MM
 from labdaemon.bench.pairs import read_truth
 from labdaemon.bench.signed_cases import SignedCase, signed_cases
 from labdaemon.bench.simulator import folder_maker
@@ -181,7 +183,7 @@ def _in_image(
         (amplitude / sd_size, phase * size_px / sd_phase),
         float(np.degrees(sd_phase / size_px)),
         float(np.degrees(bound.phase_rad)),
-        scale * float(np.hypot(bound.amplitude_px, bound.phase_rad * size_px)),
+        scale * float(np.hypot(bound.amplitude_px, size_px * np.hypot(bound.phase_rad, bound.direction_rad))),
         frozenset(flag.value for flag in one.flags),
     )
 
@@ -194,9 +196,17 @@ def _bound(case: SignedCase, true: FloatArray, windows: list[ExposureWindow]) ->
     white = MEAN_GREY * case.white_dn
     # Fixed pattern noise acts like photons: a larger variance for each count, at the brightness of this frame.
     gain = 1 / 8.5 + PRNU**2 * white * case.light_fraction
-    noise = NoiseModel(7.0 / 8.5, gain, 0.004, 0.3 * PX_PER_MM)
-    lens = GAUSSIAN_SIGMA_PX if case.options.get("gaussian_optics") else LENS_SIGMA_PX
-    dot = DotImage(0.5 * case.diameter_mm * PX_PER_MM, lens, white * (1 + case.ambient), 0.05, noise)
+    is_gaussian = bool(case.options.get("gaussian_optics"))
+    lens = GAUSSIAN_SIGMA_PX if is_gaussian else LENS_SIGMA_PX
+    noise = NoiseModel(7.0 / 8.5, gain, 0.004, TEXTURE_MM * PX_PER_MM / math.sqrt(2.0)).seen_through(lens)
+    dot = DotImage(
+        0.5 * case.diameter_mm * PX_PER_MM,
+        lens if is_gaussian else OWN_LENS_SIGMA_PX,
+        white * (1 + case.ambient),
+        0.05,
+        noise,
+        diffraction_px=0.0 if is_gaussian else DIFFRACTION_PX,
+    )
     return predict_sd(windows, size, phase, dot, direction_rad=direction)
 
 

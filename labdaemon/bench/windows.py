@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import click
 import numpy as np
 
-from labdaemon.bench.dots import PX_PER_MM, DotBench
+from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX, PX_PER_MM, RADIUS_MM, DotBench
 from labdaemon.blur import (
     Defocus,
     DotImage,
@@ -116,52 +116,82 @@ class KnownTrials:
     ----------
     amplitude_mm
         True semi-amplitude.
-    vector_mm, bound_mm
-        Errors of the signed vectors (a, b), and their Cramér–Rao bound.
-    pulls
-        Of amplitude and phase.
+    error_mm, bound_mm
+        Errors of the signed vectors (a, b), and their Cramér–Rao bound; of one opening, whose phase has its mirror
+        image, those of the amplitude.
+    amplitude_pulls, phase_pulls
+        Errors over stated standard deviations; of one opening no phase.
     flagged
         Dots with a flag; their errors are not among the others.
     """
 
     amplitude_mm: float
-    vector_mm: FloatArray
+    error_mm: FloatArray
     bound_mm: FloatArray
-    pulls: FloatArray
+    amplitude_pulls: FloatArray
+    phase_pulls: FloatArray
     flagged: int
 
 
-def run_known(amplitude_mm: float, cycles: float, dots: int, texture: float, seed: int = 1) -> KnownTrials:
-    """Signed vectors from two captures, opened a quarter of a cycle apart."""
+def run_known(
+    amplitude_mm: float, cycles: float, dots: int, texture: float, seed: int = 1, *, openings: int = 2
+) -> KnownTrials:
+    """Dots on a sheet of paper each, in captures that are opened a quarter of a cycle apart, or in one.
+
+    Parameters
+    ----------
+    openings
+        2 for signed vectors, 1 for amplitudes.
+    """
     bench = DotBench(seed, texture)
-    sharp = bench.sharp(amplitude_mm, 0)
     size = amplitude_mm * PX_PER_MM
-    windows = [ExposureWindow(5.0, cycles / 5.0, opening) for opening in (0.0, np.pi / 2)]
+    windows = [ExposureWindow(5.0, cycles / 5.0, opening * np.pi / 2) for opening in range(openings)]
     errors, bounds, pulls, flagged = [], [], [], 0
-    for _ in range(dots):
+    for paper in range(dots):
+        sharp = bench.sharp(amplitude_mm, paper)
         phase, direction = bench.angle(), bench.angle()
         patches = [
-            bench.blurred(amplitude_mm, 0, cycles, phase + (window.phase_rad or 0.0), direction_rad=direction)
+            bench.blurred(amplitude_mm, paper, cycles, phase + (window.phase_rad or 0.0), direction_rad=direction)
             for window in windows
         ]
-        found = measure_group(sharp, patches, windows, defocus=DEFOCUS)
+        bound = predict_sd(windows, size, phase, _dot_image(bench), direction_rad=-direction)
+        if openings > 1:
+            found = measure_group(sharp, patches, windows, defocus=DEFOCUS)
+        else:
+            found = measure_frame([sharp], patches, window=windows[0], defocus=DEFOCUS)[0]
         if found.flags - {Flag.AT_REST} or not np.isfinite(found.a_px).all():
             flagged += 1
+            continue
+        if openings == 1:
+            error = found.amplitude_px - size
+            pulls.append([error / found.sd_px])
+            errors.append(abs(error) / PX_PER_MM)
+            bounds.append(bound.amplitude_px / PX_PER_MM)
             continue
         along = np.array([np.cos(direction), -np.sin(direction)])
         true = size * np.concatenate((np.cos(phase) * along, np.sin(phase) * along))
         seen = np.concatenate((found.a_px, found.b_px))
         radial, tangential = true / size, np.concatenate((-true[2:], true[:2])) / size
         covariance = found.covariance_px2[2:, 2:]
-        pulls += [float(d @ (seen - true) / np.sqrt(d @ covariance @ d)) for d in (radial, tangential)]
-        bound = predict_sd(windows, size, phase, _dot_image(bench), direction_rad=-direction)
+        pulls.append([float(d @ (seen - true) / np.sqrt(d @ covariance @ d)) for d in (radial, tangential)])
         errors.append(float(np.linalg.norm(seen - true)) / PX_PER_MM)
-        bounds.append(float(np.hypot(bound.amplitude_px, bound.phase_rad * size)) / PX_PER_MM)
-    return KnownTrials(amplitude_mm, np.array(errors), np.array(bounds), np.array(pulls), flagged)
+        whole = np.hypot(bound.amplitude_px, size * np.hypot(bound.phase_rad, bound.direction_rad))
+        bounds.append(float(whole) / PX_PER_MM)
+    table = np.array(pulls).reshape(-1, openings)
+    by_phase = table[:, 1] if openings > 1 else np.zeros(0)
+    return KnownTrials(amplitude_mm, np.array(errors), np.array(bounds), table[:, 0], by_phase, flagged)
 
 
 def _dot_image(bench: DotBench) -> DotImage:
-    return DotImage(4.0 * PX_PER_MM, bench.lens_sigma_px, bench.white_dn, 0.05, bench.noise)
+    return DotImage(
+        RADIUS_MM * PX_PER_MM,
+        OWN_LENS_SIGMA_PX,
+        bench.white_dn,
+        0.05,
+        bench.noise,
+        sd_defocus_px2=DEFOCUS.sd_px2,
+        diffraction_px=DIFFRACTION_PX,
+    )
 
 
 def _cells(trials: UnknownTrials, nothing: str) -> str:
@@ -183,9 +213,22 @@ def _rms(values: FloatArray) -> float:
 @click.option("--frames", default=3, show_default=True, help="Frames of eight dots for each unknown waveform.")
 @click.option("--dots", default=12, show_default=True, help="Dots of each amplitude through known windows.")
 @click.option("--cycles", default=5.5, show_default=True, help="Of the known windows.")
-@click.option("--texture", default=0.008, show_default=True, help="Relative paper texture seen through known windows.")
+@click.option("--openings", type=click.IntRange(1, 2), default=2, show_default=True, help="Captures of each dot.")
+@click.option(
+    "--texture", default=TEXTURE, show_default=True, help="Relative paper texture seen through known windows."
+)
+@click.option("--amplitude-mm", "amplitudes", type=float, multiple=True, help="Through known windows; may be repeated.")
 @click.option("--seed", default=1, show_default=True)
-def command(section: str, frames: int, dots: int, cycles: float, texture: float, seed: int) -> None:
+def command(
+    section: str,
+    frames: int,
+    dots: int,
+    cycles: float,
+    openings: int,
+    texture: float,
+    amplitudes: tuple[float, ...],
+    seed: int,
+) -> None:
     """Part cycles: of unknown length, and signed vectors through known windows, next to the Cramér–Rao bound."""
     head = "as a sinusoid: mean     rms  largest   estimated: mean     rms  largest   pulls   "
     if section in ("all", "unknown"):
@@ -200,13 +243,17 @@ def command(section: str, frames: int, dots: int, cycles: float, texture: float,
             third = 0.05 * complex(np.exp(1j * np.radians(degrees)))
             click.echo(f"{degrees:6.0f}   {_cells(run_unknown(5.0, frames, seed, third=third), 'none')}")
     if section in ("all", "known"):
-        click.echo(f"Windows known: {cycles:g} cycles twice, a quarter of a cycle apart, texture {texture:.1%}")
-        click.echo("amplitude mm   dots   flagged   error rms µm   over the bound   95 % µm   pulls")
-        for amplitude in KNOWN_MM:
-            known = run_known(amplitude, cycles, dots, texture, seed)
-            ratio = _rms(known.vector_mm / known.bound_mm)
-            p95 = float(np.percentile(known.vector_mm, 95)) if known.vector_mm.size else float("nan")
+        what = "signed vectors, a quarter of a cycle apart" if openings > 1 else "amplitudes"
+        click.echo(f"Windows known: {openings} x {cycles:g} cycles, {what}, texture {texture:.1%}")
+        click.echo(
+            "amplitude mm   dots   flagged   rms µm   bound µm   over the bound   95 % µm   pulls: amplitude   phase"
+        )
+        for amplitude in amplitudes or KNOWN_MM:
+            known = run_known(amplitude, cycles, dots, texture, seed, openings=openings)
+            ratio = _rms(known.error_mm / known.bound_mm)
+            p95 = float(np.percentile(known.error_mm, 95)) if known.error_mm.size else float("nan")
             click.echo(
-                f"{amplitude:12.1f}   {dots:4d}   {known.flagged:7d}   {_rms(known.vector_mm) * 1e3:12.1f}   "
-                f"{ratio:14.2f}   {p95 * 1e3:7.1f}   {_rms(known.pulls):5.2f}"
+                f"{amplitude:12.1f}   {dots:4d}   {known.flagged:7d}   {_rms(known.error_mm) * 1e3:6.1f}   "
+                f"{_rms(known.bound_mm) * 1e3:8.1f}   {ratio:14.2f}   {p95 * 1e3:7.1f}   "
+                f"{_rms(known.amplitude_pulls):16.2f}   {_rms(known.phase_pulls):5.2f}"
             )

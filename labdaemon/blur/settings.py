@@ -303,6 +303,10 @@ class TextureMapSettings:
     """Distance that is kept from the paper's edge, whose blur darkens what lies before it."""
     max_radius_px: float = 130.0
     """Paper that is mapped beyond the dot: twice the longest paths."""
+    skirt_px: float = 45.0
+    """Paper around the dot from which its diffracted skirts are taken off; beyond, they are below 0.05 %."""
+    max_skirt: float = 0.5
+    """Largest part of the light that is divided out: darker pixels are the dot itself. Numerics."""
     min_pixels: int = 400
     """Pixels of paper that each colour must have."""
     background_size_px: int = 41

@@ -72,6 +72,21 @@ def test_texture_ambient_light_and_their_uncertainty_cost_precision() -> None:
     assert phase(coded("1110100", sd_phase_rad=0.01)) == pytest.approx(np.hypot(plain, 0.01), rel=0.01)
 
 
+def test_texture_that_sharp_frames_show_costs_less_and_a_lens_shows_less_of_it() -> None:
+    noise = NoiseModel(7.0 / 8.5, 1.0 / 8.5, 0.008, 0.83)
+    seen = noise.seen_through(1.25)
+    assert seen.texture * seen.texture_px == pytest.approx(0.008 * 0.83)
+    assert seen.texture_px == pytest.approx(1.53, abs=0.01)
+    sd = [predict_sd([WHOLE], 12.0, 0.3, DotImage(noise=seen, sharp_frames=count)).amplitude_px for count in (9, 1, 0)]
+    assert predict_sd([WHOLE], 12.0, 0.3, QUIET).amplitude_px < sd[0] < sd[1] < 0.95 * sd[2]
+
+
+def test_diffraction_shows_less_than_a_gaussian_of_its_width() -> None:
+    gaussian, airy = DotImage(lens_sigma_px=1.25), DotImage(lens_sigma_px=0.13, diffraction_px=2.8)
+    ratio = [predict_sd([WHOLE], 6.0, 0.3, dot).amplitude_px for dot in (airy, gaussian)]
+    assert 1.1 < ratio[0] / ratio[1] < 1.3
+
+
 def test_timing_of_part_cycles_counts() -> None:
     exact = [ExposureWindow(5.0, 1.1, phase) for phase in (0.0, np.pi / 2)]
     loose = [replace(window, sd_phase_rad=0.05, sd_exposure_s=1e-3) for window in exact]

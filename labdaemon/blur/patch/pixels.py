@@ -6,7 +6,8 @@ never demosaiced, never tone-mapped.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
+
+PIXEL_VARIANCE_PX2 = 1 / 12
+"""Of a square pixel's aperture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +85,17 @@ class NoiseModel:
         """Variance (DN²), texture aside, of pixels whose expected value is `signal` (DN)."""
         result: FloatArray = self.read_dn**2 + self.gain_dn * np.maximum(signal, 0.0)
         return result
+
+    def seen_through(self, lens_sigma_px: float) -> NoiseModel:
+        """The same with the paper's own texture as lens and pixels show it: longer and weaker, its power at f = 0 kept.
+
+        Parameters
+        ----------
+        lens_sigma_px
+            Standard deviation of the lens' blur.
+        """
+        seen_px = math.sqrt(self.texture_px**2 + lens_sigma_px**2 + PIXEL_VARIANCE_PX2)
+        return replace(self, texture=self.texture * self.texture_px / seen_px, texture_px=seen_px)
 
 
 @dataclass(frozen=True, slots=True)

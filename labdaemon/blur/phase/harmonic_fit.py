@@ -120,7 +120,11 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     best, others, time_reversed = solve_orbit(
         frame_set, moment_px2, profile, float(np.sqrt(max(minor.square_px2, minor.size_px**2)))
     )
-    weighed = weigh_candidates(frame_set, [best, *others] if profile.coded else [best], window_orbit_transfer)
+    # Constant light has the time-reversed solution as its only twin; the covariance holds the other rotation.
+    rivals = others if profile.coded else [] if time_reversed is None else [time_reversed]
+    weighed = weigh_candidates(frame_set, [best, *rivals] if frame_set.shows_phase else [best], window_orbit_transfer)
+    if weighed.best is time_reversed:
+        time_reversed = best
     best, refined = weighed.best, weighed.refined
     full = windowed_covariance(refined, frame_set, window_orbit_transfer)
     selector = _motion_selector(frame_set, len(best.p), 4)
@@ -128,22 +132,27 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     held = condition_on_phase(value, covariance)
     size, sd = _vector_length(value[2:], held[2:, 2:])
     phase_unresolved, alone = False, not frame_set.shows_phase
-    # A single frame under constant light always has its time-reversed solution. The other direction of rotation
-    # needs no flag: the covariance includes it.
-    linear = covariance
+    # A single frame under constant light always has its time-reversed solution.
+    linear, alternatives = covariance, tuple[AlternativeMotion, ...]()
+
+    def signed(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return selector @ p, selector
+
     near = bool(others) and _cost_excess(best, others[0]) < PHASE.rival_cost and not profile.coded
     if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):
         covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
     if profile.coded:
-        covariance, alternatives = weighed.report(frame_set, value, covariance, lambda p: (selector @ p, selector))
+        covariance, alternatives = weighed.report(frame_set, value, covariance, signed)
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif time_reversed is not None:
         away = selector @ (time_reversed.p - best.p)
         ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
+        if not alone and not phase_unresolved:
+            _, alternatives = weighed.report(frame_set, value, covariance, signed)
     found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
     if not profile.coded:
-        return found
+        return replace(found, alternatives=alternatives)
     return replace(
         found,
         alternatives=alternatives,
@@ -154,15 +163,15 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
 
 def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArray, minor: MinorAxis) -> HarmonicFit:
     """The in-phase motion by all its phases, with the minor axis that it may have in the covariance."""
-    candidates = [profile.best, *profile.rivals] if profile.coded else [profile.best]
+    candidates = [profile.best, *profile.rivals] if frame_set.shows_phase else [profile.best]
     weighed = weigh_candidates(frame_set, candidates, window_in_phase_transfer)
-    best = weighed.best
-    profile = replace(profile, best=weighed.refined)
-    refined = profile.best
+    best, refined = weighed.best, weighed.refined
+    profile = replace(profile, best=refined if frame_set.shows_phase else best)
     full = windowed_covariance(refined, frame_set, window_in_phase_transfer)
     selector = _motion_selector(frame_set, len(best.p), 3)
     linear = selector @ full @ selector.T
-    in_phase = marginalise_phase(profile, selector @ refined.p, linear)
+    inflation = _variance_inflation(best, refined, profile.vector)
+    in_phase = marginalise_phase(profile, selector @ refined.p, linear, selector @ best.p, inflation)
     size, sd = _vector_length(in_phase.axis[2:], in_phase.axis_covariance[2:, 2:])
     minor_axis_variance_px2 = minor.mean_square(size)
     n, c, s = perpendicular(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
@@ -170,7 +179,7 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
     covariance = in_phase.covariance + minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
     ambiguous, alternatives = is_bimodal(profile), tuple[AlternativeMotion, ...]()
     ambient: AmbientEstimate | None = None
-    if profile.coded and not in_phase.phase_unresolved:
+    if frame_set.shows_phase and not in_phase.phase_unresolved:
 
         def signed(p: FloatArray) -> tuple[FloatArray, FloatArray]:
             return in_phase_vectors((selector @ p)[None])[0], in_phase_jacobian(selector @ p) @ selector
@@ -201,6 +210,19 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
         light_scores=score_light(frame_set, best, window_in_phase_transfer, moment_px2) if profile.coded else (),
         ambient=ambient,
     )
+
+
+def _variance_inflation(best: Solution, refined: Solution, vector: FloatArray) -> float:
+    """Variance of an in-phase motion's amplitude at its phase with the paper texture in the weights, over without."""
+    along = np.concatenate((vector / max(float(np.hypot(*vector)), 1e-12), [0.0]))
+    held = np.array([0.0, 0.0, 1.0])
+
+    def variance(covariance: FloatArray) -> float:
+        part = covariance[-3:, -3:]
+        by_phase = float(along @ part @ held) ** 2 / max(float(held @ part @ held), 1e-12)
+        return max(float(along @ part @ along) - by_phase, 1e-12)
+
+    return max(variance(refined.covariance) / variance(best.covariance), 1.0)
 
 
 def _cost_excess(best: Solution, other: Solution) -> float:

@@ -37,7 +37,9 @@ class InPhaseMotion:
     phase_unresolved: bool = False
 
 
-def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArray) -> InPhaseMotion:
+def marginalise_phase(
+    profile: PhaseProfile, p: FloatArray, covariance: FloatArray, unrefined: FloatArray, inflation: float
+) -> InPhaseMotion:
     """The motion and its covariance over all phases.
 
     Parameters
@@ -45,12 +47,24 @@ def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArr
     profile
         Costs at all phases.
     p, covariance
-        (5,) and (5, 5) x, y, vx, vy, ψ of the best solution and their linear covariance.
+        (5,) and (5, 5) x, y, vx, vy, ψ of the best solution and their linear covariance; of a single frame with its
+        phase held.
+    unrefined
+        (5,) the same without the paper texture in the weights.
+    inflation
+        Variance with the paper texture in the weights over that without, by which costs of the profile count less.
     """
-    phases, probability, others = phase_posterior(profile)
+    phases, cost, others = _fine_profile(profile, inflation)
+    probability = np.exp(-cost / 2)
     value = in_phase_vectors(p[None])[0]
-    scatter = 2 * float(probability @ (1 - np.cos(phases - p[4])))
-    if profile.is_narrow or max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2:
+    # Other valleys of the phase are other motions, which are reported as alternatives.
+    near = probability
+    if profile.periodic:
+        place = int(np.argmin(np.abs(np.angle(np.exp(1j * (phases - p[4]))))))
+        near = np.where(_wall_height(cost, place) > PHASE.barrier_cost, 0.0, probability)
+    scatter = 2 * float(near @ (1 - np.cos(phases - p[4]))) / max(float(near.sum()), 1e-300)
+    is_linear = profile.periodic and max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2
+    if profile.is_narrow or is_linear:
         v = p[2:4]
         jacobian = in_phase_jacobian(p)
         # The circle of phases leaves its tangent by half the square of the phase's standard deviation: less than the
@@ -60,11 +74,16 @@ def marginalise_phase(profile: PhaseProfile, p: FloatArray, covariance: FloatArr
         bent = bool(covariance[4, 4] > part)
         return InPhaseMotion(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, bent)
     at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / max(covariance[4, 4], 1e-12)
+    if not profile.periodic:
+        # The profile's weights are those of independent noise: all its motions differ as the best one does.
+        others[:, :4] += p[:4] - unrefined[:4]
+    probability /= probability.sum()
     axis = probability @ others[:, :4]
     total = _weighted_scatter(probability, in_phase_vectors(others) - value)
     for weight, phase in zip(probability, phases, strict=True):
         total += weight * _vector_jacobian(float(phase)) @ at_phase @ _vector_jacobian(float(phase)).T
-    return InPhaseMotion(axis, at_phase + _weighted_scatter(probability, others[:, :4] - axis), value, total, True)
+    bent = profile.periodic or scatter > PHASE.linear_phase_sd_rad**2
+    return InPhaseMotion(axis, at_phase + _weighted_scatter(probability, others[:, :4] - axis), value, total, bent)
 
 
 def _weighted_scatter(probability: FloatArray, away: FloatArray) -> FloatArray:
@@ -95,8 +114,8 @@ def in_phase_vectors(in_phase: FloatArray) -> FloatArray:
     return np.concatenate((in_phase[:, :2], c * in_phase[:, 2:4], s * in_phase[:, 2:4]), axis=1)
 
 
-def phase_posterior(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(m,) phases finely, (m,) the probability of each, which sum to 1, and (m, 5) x, y, vx, vy, ψ there."""
+def _fine_profile(profile: PhaseProfile, inflation: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(m,) phases finely, (m,) the cost of each less the least, squared sd, and (m, 5) x, y, vx, vy, ψ there."""
     at, table = profile.phase_rad, np.column_stack((profile.cost, profile.centre_px, profile.vector_px))
     if profile.periodic:
         at, table = np.append(at, at[0] + 2 * np.pi), np.vstack((table, table[:1]))
@@ -108,8 +127,16 @@ def phase_posterior(profile: PhaseProfile) -> tuple[FloatArray, FloatArray, Floa
         middle = (at[0] + at[-1]) / 2
         sines = np.sin(at - middle)
         values = PchipInterpolator(sines, table)(np.clip(np.sin(phases - middle), sines[0], sines[-1]))
-    probability = np.exp(-(values[:, 0] - values[:, 0].min()) / (2 * max(profile.best.chi2, 1.0)))
-    return phases, probability / probability.sum(), np.column_stack((values[:, 1:], phases))
+    cost = (values[:, 0] - values[:, 0].min()) / (max(profile.best.chi2, 1.0) * inflation)
+    return phases, cost, np.column_stack((values[:, 1:], phases))
+
+
+def _wall_height(cost: FloatArray, place: int) -> FloatArray:
+    """(n,) highest cost on the lower of the two ways round the circle from one place to each."""
+    cost = np.roll(cost, -place)
+    wall = np.minimum(np.maximum.accumulate(cost), np.maximum.accumulate(cost[::-1])[::-1])
+    result: FloatArray = np.roll(wall, place)
+    return result
 
 
 def is_bimodal(profile: PhaseProfile) -> bool:
@@ -124,7 +151,5 @@ def is_bimodal(profile: PhaseProfile) -> bool:
         return False
     scale = max(profile.best.chi2, 1.0)
     cost = (profile.cost - profile.cost.min()) / scale
-    cost = np.roll(cost, -int(np.argmin(cost)))
-    # Highest place on either way round from the lowest to each.
-    wall = np.minimum(np.maximum.accumulate(cost), np.maximum.accumulate(cost[::-1])[::-1])
+    wall = _wall_height(cost, int(np.argmin(cost)))
     return bool(np.any((cost < PHASE.rival_cost) & (wall > PHASE.barrier_cost)))

@@ -16,6 +16,7 @@ from labdaemon.blur.patch.noise import estimate_noise
 from labdaemon.blur.patch.paper_texture import estimate_residual_noise
 from labdaemon.blur.patch.pixels import BoolArray, Dot, FloatArray, NoiseModel, Patch
 from labdaemon.blur.settings import SHARP_FIT, TEXTURE_MAP
+from labdaemon.blur.sharp.dot_skirt import without_skirts
 from labdaemon.blur.sharp.target import EllipseShape, LensPsf, SharpTarget
 from labdaemon.blur.sharp.template_residual import TemplateResidual, find_paper, find_template_residual
 from labdaemon.blur.sharp.texture_map import map_paper_texture
@@ -118,9 +119,9 @@ def _fit_once(
     target = replace(target, outline=outline)
     if not noise_known or not target.usable or template_residual is not None:
         return target
-    radius = max(target.form.half_size_px)
-    averaged = _noise_of_mean(used, count)
-    texture_map, seen = map_paper_texture(patch, planes, solution, target.centre_px, radius, dot.paper_px, averaged)
+    radius, averaged = max(target.form.half_size_px), _noise_of_mean(used, count)
+    bare = without_skirts(patch, target)
+    texture_map, seen = map_paper_texture(bare, planes, solution, target.centre_px, radius, dot.paper_px, averaged)
     texture = used.texture if noise is not None and noise.texture else seen.texture
     return replace(target, texture_map=texture_map, noise=replace(used, texture=texture, texture_px=seen.texture_px))
 

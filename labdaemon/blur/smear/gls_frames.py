@@ -20,11 +20,16 @@ from labdaemon.blur.smear.gls import FramePart, FrameWeights, TextureMotion, fra
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.least_squares import scaled_inverse
 
+HELD_PHASE_SD_RAD = 1e-7
+"""Standard deviation of a phase that is held. Numerics."""
+
 
 def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
     """As `gls_refine`, of a target in several frames, each through its own window: normal equations add over frames.
 
-    Where the phase hardly shows the model is curved, and steps are repeated.
+    Where the phase hardly shows the model is curved, and steps are repeated. A single frame under constant light does
+    not show its phase: at the turning points of the phase the model has no slope there, and a step has no bound. The
+    phase is held, and its variance is 0; `marginalise_phase` and `condition_on_phase` account for all phases.
 
     Parameters
     ----------
@@ -36,9 +41,7 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
         The kind of motion that was fitted.
     """
     sharp = frame_set.sharp
-    # A single frame under constant light does not show its phase: at the turning points of the phase the model has no
-    # slope, and an undamped step has no bound.
-    if not frame_set.shows_phase or not sharp.noise_known or solution.chi2 > GLS.max_chi2:
+    if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
     unrefined = solution
     # Near rest the phase does not show and the sd has no bound: a step may leave the paths that the model represents.
@@ -49,15 +52,15 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
         before = solution
         solution = _step_frames(frame_set, before, transfer_factory)
         away = np.abs(solution.p - unrefined.p)
-        if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance)))):
+        if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance))) + HELD_PHASE_SD_RAD):
             return unrefined
         motion = slice(frame_set.first_motion, None)
         if not np.linalg.norm(solution.p[motion]) <= longest_px:
             return unrefined
-        if not np.linalg.eigvalsh(solution.covariance[motion, motion])[0] > 0:
+        if frame_set.shows_phase and not np.linalg.eigvalsh(solution.covariance[motion, motion])[0] > 0:
             return unrefined
         step = np.abs(solution.p - before.p)
-        if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance))):
+        if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance)) + HELD_PHASE_SD_RAD):
             break
         dark, _ = frame_set.forward_model(transfer_factory, _max_amplitude_px(frame_set, solution.p))(solution.p)
         solution = replace(solution, signal=render_illumination(frame_set.planes, solution.light, dark))
@@ -107,7 +110,21 @@ def _step_frames(frame_set: FrameSet, solution: Solution, transfer_factory: Tran
     """One step of `gls_refine_frames`."""
     equations, _ = _frames_equations(frame_set, solution, transfer_factory, None)
     prior = frame_set.prior(len(solution.p) - frame_set.first_motion)
+    if not frame_set.shows_phase:
+        along = _phase_direction(solution.p, frame_set.first_motion)
+        equations[:-1, :-1] += np.outer(along, along) / HELD_PHASE_SD_RAD**2
     return refined_solution(solution, equations[:-1, :-1], equations[:-1, -1], prior)
+
+
+def _phase_direction(p: FloatArray, first: int) -> FloatArray:
+    """(k,) derivative of all parameters by the phase, of an in-phase motion (vx, vy, ψ, …) or an orbit (a, b)."""
+    motion = p[first:]
+    result = np.zeros(len(p))
+    if len(motion) == 4:
+        result[first:] = np.concatenate((-motion[2:], motion[:2])) / max(float(motion @ motion), 1e-12)
+    elif len(motion) > 2:
+        result[first + 2] = 1.0
+    return result
 
 
 def _frames_equations(
