@@ -78,7 +78,7 @@ def measure_group(
     problems: list[FitProblem] = []
     for index, patch in enumerate(patches):
         guess = initial_guesses[index] if initial_guesses is not None else InitialGuess(sharp.centre_px)
-        problem = prepare_on_label(sharp, patch, guess)
+        problem = prepare_on_label(sharp, patch, guess, is_divided=windows[index].is_coded)
         if problem is None:
             return empty_measurement(sharp.name, {Flag.NOT_FOUND})
         problems.append(problem)

@@ -31,13 +31,22 @@ def reaches_patch(outline: LabelOutline, patch: Patch, guess: InitialGuess) -> b
     return not bool(outline.clear_pixels(patch, guess.centre_px, a, b, LABEL_EDGE.margin_px).all())
 
 
-def prepare_on_label(sharp: SharpTarget, patch: Patch, guess: InitialGuess) -> FitProblem | None:
-    """Prepare a fit as `prepare_fit` does; without background where the guessed path brings it into the blur."""
+def prepare_on_label(
+    sharp: SharpTarget, patch: Patch, guess: InitialGuess, *, is_divided: bool = False
+) -> FitProblem | None:
+    """Prepare a fit as `prepare_fit` does; without background where the guessed path brings it into the blur.
+
+    Parameters
+    ----------
+    is_divided
+        Whether the blur may consist of several blobs along the guessed path.
+    """
+    path_px = _axes(guess)[0] if is_divided and np.any(_axes(guess)) else None
     expected = np.asarray(guess.centre_px, dtype=np.float64)
     radius = max(sharp.form.half_size_px) + LABEL_EDGE.holding_margin_px
     if sharp.outline is None or not np.any(_axes(guess)) or sharp.outline.holds(radius, *_axes(guess)):
-        return prepare_fit(sharp, patch, expected)
-    problem = prepare_fit(sharp, _masked(sharp.outline, patch, guess), expected)
+        return prepare_fit(sharp, patch, expected, path_px=path_px)
+    problem = prepare_fit(sharp, _masked(sharp.outline, patch, guess), expected, path_px=path_px)
     return None if problem is None else problem.starting_from(sharp, guess)
 
 

@@ -140,6 +140,7 @@ def find_blob(
     contrast: dict[int, float] | None,
     *,
     threshold: float | None = None,
+    path_px: FloatArray | None = None,
 ) -> Blob | None:
     """The dark blob that is most likely the target.
 
@@ -153,6 +154,9 @@ def find_blob(
         Its expected darkness (area of the dot).
     threshold
         Darkness that counts; None takes what stands out of the noise.
+    path_px
+        (2,) semi-axis of a path about `near_px` along which the target may have left several blobs: a lamp that was off
+        in parts of the cycle divides its blur.
     """
     dark, finite = _relative_darkness(patch, contrast)
     coarse = contrast is not None and threshold is None and area_px2 > LOCATE.coarse_search_area_px2
@@ -174,11 +178,24 @@ def find_blob(
     if sums[best - 1] < 0.2 * area:
         return None
     mask = labels == best
+    if path_px is not None and count > 1:
+        on_path = _near_path(dark.shape, expected, path_px / scale, 1.2 * np.sqrt(area / np.pi))
+        inside = np.bincount(labels.ravel(), on_path.ravel(), count + 1) > 0.9 * np.bincount(labels.ravel())
+        inside[[0, best]] = False, True
+        mask = inside[labels]
     other_blobs = np.zeros(patch.shape, dtype=bool)
     if count > 1:
         near = ndimage.binary_dilation((labels > 0) & ~mask, iterations=2 // scale) & ~mask
         other_blobs[: near.shape[0] * scale, : near.shape[1] * scale] = near.repeat(scale, axis=0).repeat(scale, axis=1)
     return _describe_blob(patch, dark, mask, other_blobs, scale)
+
+
+def _near_path(shape: tuple[int, int], middle: FloatArray, path: FloatArray, radius: float) -> BoolArray:
+    """Pixels within a distance of a straight path."""
+    x, y = np.arange(shape[1]) - middle[0], (np.arange(shape[0]) - middle[1])[:, None]
+    along = np.clip((x * path[0] + y * path[1]) / max(float(path @ path), 1e-12), -1.0, 1.0)
+    result: BoolArray = np.hypot(x - along * path[0], y - along * path[1]) <= radius
+    return result
 
 
 def _select_blob(

@@ -91,6 +91,7 @@ def prepare_fit(
     patch: Patch,
     expected_px: FloatArray,
     known: tuple[FloatArray, FloatArray, FloatArray] | None = None,
+    path_px: FloatArray | None = None,
 ) -> FitProblem | None:
     """Find the smear in the patch, crop to it, and evaluate the target's spectra; None if there is none.
 
@@ -98,6 +99,8 @@ def prepare_fit(
     ----------
     known
         Mean position, a and b where a first fit has found them: the mask of trusted paper depends on them.
+    path_px
+        As for `find_blob`.
     """
     if min(patch.shape) < 5:
         return None
@@ -107,11 +110,17 @@ def prepare_fit(
     area = np.pi * half_w * half_h
     template_residual = sharp.form.template_residual if isinstance(sharp.form, EllipseShape) else None
     rough = template_residual is not None and template_residual.is_strong
-    blob = find_blob(patch, expected_px, area, sharp.contrast, threshold=0.45 if rough else None)
+    blob = find_blob(patch, expected_px, area, sharp.contrast, threshold=0.45 if rough else None, path_px=path_px)
     if blob is None or blob.area_px2 > 2.5 * area:
         return None
     reach_px = 6 + int(0.15 * half_w) + (int(half_w) if rough else 0)
     left, top, right, bottom = blob.box_px
+    if path_px is not None:  # fainter ends of the path may not stand out of the noise
+        away = np.abs(path_px) + np.array([half_w, half_h])
+        (left, top), (right, bottom) = (
+            np.minimum((left, top), np.floor(expected_px - away)).astype(int),
+            np.maximum((right, bottom), np.ceil(expected_px + away)).astype(int),
+        )
     shown = patch if rough else mask_pixels(patch, blob.other_blobs)
     cut = shown.crop(left - reach_px, top - reach_px, right - left + 1 + 2 * reach_px, bottom - top + 1 + 2 * reach_px)
     if template_residual is not None and template_residual.needs_mask:

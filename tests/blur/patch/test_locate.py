@@ -41,6 +41,25 @@ def test_what_else_is_dark_is_marked_on_all_of_its_pixels(area):
     assert not blob.other_blobs[np.hypot(x - 25, y - 30) < 15].any()
 
 
+def test_blobs_along_a_path_are_one_target_and_others_are_not(area):
+    """A lamp that is off for parts of the cycle divides a blur."""
+    scene = area.Scene(radius_px=10.0)
+    places = ((24.0, 30.0), (60.0, 30.0), (42.0, 62.0))
+    parts = [area.render(scene, (81, 91), place, seed=k) for k, place in enumerate(places)]
+    whole = type(parts[0])(
+        np.min([one.values for one in parts], axis=0), parts[0].channel, parts[0].valid, parts[0].origin_px
+    )
+    near, path = np.array([42.0, 30.0]), np.array([18.0, 0.0])
+    blob = find_blob(whole, near, np.pi * 100, CONTRAST, path_px=path)
+    assert blob is not None
+    np.testing.assert_allclose(blob.centre_px, near, atol=0.3)
+    assert blob.box_px[0] < 16
+    assert blob.box_px[2] > 68
+    assert blob.box_px[3] < 45, "what lies off the path is another"
+    y, x = np.mgrid[:81, :91]
+    assert blob.other_blobs[np.hypot(x - 42, y - 62) < 10].all()
+
+
 def test_channels_that_do_not_repeat_every_two_pixels_are_judged_one_by_one(area):
     scene = area.Scene(radius_px=9.0)
     patch = area.render(scene, (48, 48), (24.0, 24.0), seed=7)
