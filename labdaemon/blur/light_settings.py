@@ -35,8 +35,12 @@ class LightSettings:
     """Root mean square correction, in parts of the full brightness, that counts. Trial: lamps fade and warm up."""
     outlier_share: float = 0.25
     """Largest share of targets that are left out of the check of the code because they contradict it most. Trial."""
+    least_agreement: float = 0.1
+    """Part of the squared standard deviations of all targets that the others must have, too. Trial."""
     least_eigenvalue: float = 1e-6
     """Eigenvalue of a target's information, relative to the largest, below which a correction is not seen. Numerics."""
+    light_mismatch_cost: float = 16.0
+    """Squared standard deviations a target from which a correction of any size counts. Statistics: four sd in each."""
     min_ambient_targets: int = 4
     """Other targets of a frame from which their common ambient light replaces the stated one. Trial: their scatter must
     show."""

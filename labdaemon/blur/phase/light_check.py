@@ -9,6 +9,7 @@ lamp that is not wired, a wrong phase between the frames of a group, or ambient 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -85,7 +86,7 @@ class LightFault:
 def find_light_fault(scores: Sequence[LightScore]) -> LightFault | None:
     """How the targets of a frame together contradict its code; None where they do not.
 
-    Those that contradict it most are left out, so that single targets with a wrong fit do not speak for all.
+    Single targets with a wrong fit do not speak for all: without those that contradict it most, the others must, too.
 
     Parameters
     ----------
@@ -93,22 +94,32 @@ def find_light_fault(scores: Sequence[LightScore]) -> LightFault | None:
         Of the frame's targets, for the same code.
     """
     excess = [one.constant_excess for one in scores if abs(one.constant_excess) > 1.0]
-    if sum(_without_worst(excess, [-value for value in excess])) < -LIGHT.constant_light_gain:
+    rest = _without_worst(excess, [-value for value in excess])
+    if sum(excess) < -LIGHT.constant_light_gain and sum(rest) < 0:
         return LightFault(is_constant=True)
-    kept = _without_worst(scores, [_own_chi2(one) for one in scores])
-    if not kept:
+    if not scores:
         return None
-    information = np.sum([one.information for one in kept], axis=0)
-    score = np.sum([one.score for one in kept], axis=0)
+    cost, limit, rms = _common_correction(scores)
+    # Light that flickers faster than the parts of the cycle changes their means little, but shows in each target.
+    if cost < limit or (rms < LIGHT.light_mismatch_rms and cost < LIGHT.light_mismatch_cost * len(scores)):
+        return None
+    others, _, _ = _common_correction(_without_worst(scores, [_own_chi2(one) for one in scores]))
+    return LightFault(is_constant=False, rms=rms) if others > LIGHT.least_agreement * cost else None
+
+
+def _common_correction(scores: Sequence[LightScore]) -> tuple[float, float, float]:
+    """Squared standard deviations of the brightness from the code's, their limit, and the rms of the correction."""
+    information = np.sum([one.information for one in scores], axis=0)
+    score = np.sum([one.score for one in scores], axis=0)
     values, vectors = np.linalg.eigh(information)
     # All parts brighter, or the code turned with all phases, is not seen at all.
     seen = values > LIGHT.light_correction_sd**-2
     if not seen.any():
-        return None
+        return 0.0, math.inf, 0.0
     along = vectors[:, seen].T @ score
-    significant = float(np.sum(along**2 / values[seen])) > chi2.isf(LIGHT.light_mismatch_probability, int(seen.sum()))
     rms = float(np.sqrt(np.sum((along / values[seen]) ** 2) / len(score)))
-    return LightFault(is_constant=False, rms=rms) if significant and rms > LIGHT.light_mismatch_rms else None
+    limit = float(chi2.isf(LIGHT.light_mismatch_probability, int(seen.sum())))
+    return float(np.sum(along**2 / values[seen])), limit, rms
 
 
 def _own_chi2(one: LightScore) -> float:
