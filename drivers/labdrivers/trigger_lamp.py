@@ -219,6 +219,6 @@ def _why(state: str, start: int | None) -> str:
                 "margin_s of [lamp] to the difference of the bodies' lags"
             )
         case "CUT", _:
-            return "the excitation's sync was lost or changed"
+            return "the excitation's sync was lost, changed or drifted"
         case _:
             return "it has not ended"

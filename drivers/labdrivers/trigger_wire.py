@@ -48,8 +48,9 @@ code begins at the first edge of one of its sectors after the last flash-sync co
 that was measured then, and ends with the same sector: over whole cycles it makes no difference which one is first.
 Then the lamp is dark until OPEN is over for all shutters; 0.1 s later the constant light returns.
 Of a code: STATE is WAIT, PLAY, DONE, or CUT: not played, or ended early, because a contact did not close, the sync was
-lost or changed its period by more than 1 %, or the code would have lasted longer than the shutters are open. START is
-the first edge, SYNC the sync edge before the contacts closed, PERIOD the one played, CYCLES how many were completed.
+lost, changed its period by more than 1 % or drifted away from the code by more than 0.5 % of a cycle, or the code
+would have lasted longer than the shutters are open. START is the first edge, SYNC the sync edge before the contacts
+closed, PERIOD the one played, CYCLES how many were completed.
 A box is switched on with its lamp at full brightness. A box of before the lamp output answers ``SYNTAX`` to all three.
 
 Errors: ``SYNTAX``, ``RANGE``, ``BUSY`` (a shot is in progress), ``NOSYNC`` (no edge of the sync input within two

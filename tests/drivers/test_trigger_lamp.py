@@ -175,7 +175,7 @@ def test_a_box_without_a_lamp_output_is_named(rig, trigger):
 def test_a_code_that_is_cut_is_no_measurement(slow, trigger, shaker):
     shaker.set(12.0, 0.1)
     slow.lamp.faults.inject("code_cut", count=1)
-    with pytest.raises(DeviceError, match=r"played 1 of 4 cycles .* lost or changed"):
+    with pytest.raises(DeviceError, match=r"played 1 of 4 cycles .* lost, changed or drifted"):
         fire(trigger)
 
 
@@ -315,6 +315,27 @@ class Pin:
 
     def at(self, t: float) -> float:
         return next((level for time_s, level in reversed(self.edges) if time_s <= t + 1e-12), 1.0)
+
+
+@pytest.mark.parametrize(("drift", "state"), [(2e-4, "DONE"), (3e-3, "CUT"), (-3e-3, "CUT")])
+def test_an_excitation_whose_rate_drifts_ends_the_code(drift: float, state: str) -> None:
+    """Over 13 cycles 0.3 % turn the phase by 7 degrees, although no single period differs by 1 %."""
+    pin, frequency = Pin(), 13.0
+    lamp = LampOutput(pin)
+    lamp.restart(0.0)
+
+    def sync(t: float) -> tuple[float, float]:
+        rate = drift * frequency / 2  # per second, of the frequency's relative change
+        phase = frequency * (t + rate * t * t / 2 / frequency)
+        now = frequency + rate * t
+        return t - (phase % 1) / now, 1 / now
+
+    lamp.armed = ArmedCode((255, 0, 255, 0, 0), 13, 1.2, 0.0)
+    lamp.begin(1, 0.0, (0.06,))
+    for now in np.linspace(0.0, 1.2, 60):
+        lamp.advance(float(now), sync)
+    assert lamp.plays[1].state == state
+    assert pin.at(1.2) == 0.0
 
 
 @settings(max_examples=60, deadline=None)

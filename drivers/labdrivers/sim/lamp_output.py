@@ -25,6 +25,8 @@ BRIGHT_AGAIN_S = 0.1
 """The constant light returns so long after the shutters have closed."""
 PERIOD_CHANGE = 0.01
 """A period of the sync that differs by more than this, relative, from the one at the start ends a code."""
+LARGEST_SLIP = 0.005
+"""Part of a cycle by which the sync may have run away from the code when one of its cycles ends; more ends the code."""
 PERIOD_TICKS_PER_US = 16
 
 Sync = Callable[[float], tuple[float, float] | None]
@@ -208,17 +210,27 @@ class LampOutput:
         assert play.period_s is not None
         play.cycles += 1
         edge = sync(at_s)
-        if play.cycles == play.code.cycles:
-            play.state = "DONE"
-            self.pin(at_s, 0.0)
-        elif edge is None or abs(edge[1] / play.period_s - 1) > PERIOD_CHANGE:
+        if edge is None or self._has_run_away(play, at_s, edge):
             play.state = "CUT"
+            self.pin(at_s, 0.0)
+        elif play.cycles == play.code.cycles:
+            play.state = "DONE"
             self.pin(at_s, 0.0)
         else:
             self._write_cycle(play, at_s)
             if self.faults.strike("code_cut"):
                 play.state = "CUT"
                 self.pin(at_s + 0.5 * play.period_s, 0.0)
+
+    @staticmethod
+    def _has_run_away(play: CodePlay, at_s: float, edge: tuple[float, float]) -> bool:
+        """Whether the sync has another period than the code, or has drifted away from it since the start."""
+        assert play.start_s is not None
+        assert play.sync_s is not None
+        assert play.period_s is not None
+        edge_s, period_s = edge
+        slip = math.remainder(((at_s - edge_s) - (play.start_s - play.sync_s)) / play.period_s, 1.0)
+        return abs(period_s / play.period_s - 1) > PERIOD_CHANGE or abs(slip) > LARGEST_SLIP
 
     def _write_cycle(self, play: CodePlay, at_s: float) -> None:
         """Edges of one cycle, from a sector's boundary on."""

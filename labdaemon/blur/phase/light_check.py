@@ -93,9 +93,8 @@ def find_light_fault(scores: Sequence[LightScore]) -> LightFault | None:
     scores
         Of the frame's targets, for the same code.
     """
-    excess = [one.constant_excess for one in scores if abs(one.constant_excess) > 1.0]
-    rest = _without_worst(excess, [-value for value in excess])
-    if sum(excess) < -LIGHT.constant_light_gain and sum(rest) < 0:
+    gain = LIGHT.constant_light_gain
+    if sum(max(one.constant_excess, -gain) for one in scores) <= -gain:
         return LightFault(is_constant=True)
     if not scores:
         return None
