@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from labdaemon.blur import ExposureWindow, LightCode
+from labdaemon.blur import ExposureWindow, LightCode, named_code
 from labdaemon.errors import ConfigError, DataError, UsageError
 from labdaemon.events import GaugeMotion
 from labdaemon.processing.control import check_family
@@ -56,7 +56,7 @@ class CaptureFile(BaseModel):
     """Excitation phase at which the first sector begins; None where it was not recorded."""
     light_cycles: Annotated[int, Field(ge=1)] | None = None
     """Whole cycles of the code inside the open shutter; as many as fit where it is not given."""
-    ambient: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    ambient: Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)] = 0.0
     """Light that is on whenever the shutter is open, in parts of the lamp's full brightness."""
     sd_light_phase_rad: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     sd_ambient: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
@@ -74,6 +74,15 @@ class CaptureFile(BaseModel):
         if not isinstance(gauges, dict):
             return {}
         return {name: {**one, "gauge": name} for name, one in gauges.items() if isinstance(one, dict)}
+
+    @field_validator("light", mode="before")
+    @classmethod
+    def _code_by_name(cls, light: Any) -> Any:
+        """A code as campaigns name it, 1110100 or cos; a list as it is."""
+        try:
+            return named_code(light) if isinstance(light, str) else light
+        except UsageError as exc:
+            raise ValueError(str(exc)) from None
 
     @model_validator(mode="after")
     def _code_fits(self) -> CaptureFile:

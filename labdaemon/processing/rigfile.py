@@ -115,13 +115,13 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def refuse_unknown_keys(table: Mapping[str, Any], known: frozenset[str], path: Path, key: str = "") -> None:
-    """Raise `ConfigError` for a key that nearly is one of `known`."""
+    """Raise `ConfigError` for a key that nearly is one of `known`, or is one without its unit."""
     for name in table:
         if name in known:
             continue
-        near = [
-            other for other in difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.85) if other not in table
-        ]
+        close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.85)
+        whole = [other for other in sorted(known) if other.startswith(f"{name}_")]
+        near = [other for other in (*close, *whole) if other not in table]
         if near:
             raise ConfigError(f"unknown key; did you mean {near[0]}?", source=path, key=f"{key}{name}")
 
@@ -130,7 +130,8 @@ def one_line(error: ValidationError, path: Path) -> ConfigError:
     """Say the first thing that pydantic found, in one line with file and key."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
-    return ConfigError(first["msg"][0].lower() + first["msg"][1:], source=path, key=key or None)
+    message = first["msg"].removeprefix("Value error, ")
+    return ConfigError(message[0].lower() + message[1:], source=path, key=key or None)
 
 
 def read_rig(path: Path) -> RigFile:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from pydantic import ValidationError
 
-from labdaemon.processing.folder import CaptureFile
+from labdaemon.errors import ConfigError
+from labdaemon.processing.folder import CaptureFile, _read_capture
 
 CODE = {"light": [1, 1, 1, 0, 1, 0, 0], "frequency_hz": 5.0, "exposure_s": 1.0, "light_cycles": 4}
 
@@ -35,6 +38,7 @@ def test_the_sd_of_the_codes_phase_reaches_the_fit() -> None:
         ("light", [1, 2, 0]),
         ("light", [0, 0, 0]),
         ("light", [1]),
+        ("light", "11x0"),
         ("light", [1, float("nan")]),
         ("light_phase_rad", float("inf")),
         ("light_cycles", 0),
@@ -42,6 +46,7 @@ def test_the_sd_of_the_codes_phase_reaches_the_fit() -> None:
         ("light_cycles", 2.5),
         ("ambient", -0.1),
         ("ambient", float("nan")),
+        ("ambient", 30.0),
         ("sd_ambient", -1.0),
         ("sd_light_phase_rad", float("nan")),
         ("light_rise_s", -1e-4),
@@ -58,3 +63,24 @@ def test_bad_values_are_refused(key: str, value: object) -> None:
 def test_keys_of_the_lamp_without_a_code_are_refused_by_name(key: str) -> None:
     with pytest.raises(ValidationError, match=key):
         CaptureFile.model_validate({"frequency_hz": 5.0, "exposure_s": 1.0, key: 1})
+
+
+def test_a_code_may_be_written_as_campaigns_name_it() -> None:
+    named = CaptureFile.model_validate({**CODE, "light": "1110100"})
+    assert named.light_code() == CaptureFile.model_validate(CODE).light_code()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("light_phase = 0.2", "light_phase: unknown key; did you mean light_phase_rad?"),
+        ("phase = 0.2", "phase: unknown key; did you mean phase_rad?"),
+        ("light_cycles = 6", "capture.toml: light_cycles = 6 do not fit into an exposure of 5 excitation cycles"),
+    ],
+)
+def test_a_capture_file_is_refused_in_words_that_help(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "capture.toml"
+    path.write_text(f"frequency_hz = 5.0\nexposure_s = 1.0\nlight = [1, 1, 1, 0, 1, 0, 0]\n{text}\n")
+    with pytest.raises(ConfigError) as refused:
+        _read_capture(path, ("left",))
+    assert said in str(refused.value)
