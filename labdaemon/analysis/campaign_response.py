@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +13,7 @@ from labdaemon.errors import DataError
 from labdaemon.findings import ResponseSeries
 from labdaemon.findings.envelope_series import UNKNOWN_TABLE_SD, MeasuredStep, envelope_series
 from labdaemon.findings.response import BoolArray, FloatArray
-from labdaemon.processing import RESULTS, CaptureFacts, capture_facts, read_csv
-
-SHOWN = 4
-"""Names that a message lists."""
+from labdaemon.processing import RESULTS, CaptureFacts, capture_facts, check_captures, read_csv
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,12 +79,7 @@ def _assemble(
     notes = []
     strange = [name for name in rows if name not in facts]
     known = [name for name in rows if name in facts and facts[name].frequency_hz is not None]
-    if len(strange) == len(rows) and facts:
-        raise DataError(
-            f"its results are of {_listed(strange)}, but its captures are {_listed(list(facts))}: columns were "
-            "swapped, groups were renamed, or the results are another folder's; run: labdaemon process FOLDER",
-            file=folder,
-        )
+    check_captures(folder, rows, facts)
     if not facts:
         raise DataError(
             "has no captures/*/capture.toml, so that no frequency is known: nothing can be compared", file=folder
@@ -96,7 +87,8 @@ def _assemble(
     if not known:
         raise DataError("no capture states its frequency_hz in capture.toml: nothing can be compared", file=folder)
     if strange:
-        notes.append(f"{folder.name}: captures/ has nothing of {_listed(strange)}; left out")
+        some = ", ".join(strange[:4]) + (" …" if len(strange) > 4 else "")
+        notes.append(f"{folder.name}: captures/ has nothing of {some}; left out")
     silent = len(rows) - len(known) - len(strange)
     if silent:
         notes.append(f"{folder.name}: {silent} of {len(rows)} captures state no frequency; left out")
@@ -130,10 +122,6 @@ def _doubts(series: ResponseSeries) -> list[str]:
             "at_rest: are columns swapped?"
         ]
     return []
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
 
 
 def _step(facts: CaptureFacts, targets: dict[str, TargetEnvelope]) -> MeasuredStep:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from labdaemon.envelope import Envelope, TargetEnvelope
 from labdaemon.errors import DataError
-from labdaemon.processing import RESULTS, CaptureFacts, Row, capture_facts, read_csv
+from labdaemon.processing import RESULTS, CaptureFacts, Row, capture_facts, check_captures, read_csv
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,7 @@ def read_results(folder: Path, results: Path | None = None) -> FolderResults:
     if not captures:
         raise DataError("holds no envelope yet", file=path)
     facts = capture_facts(folder)
+    check_captures(folder, captures, facts)
     known = tuple(facts.get(name, CaptureFacts(captures=(name,))) for name in captures)
     envelopes = tuple(
         Envelope(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from labdaemon.errors import ConfigError
+from labdaemon.errors import ConfigError, DataError
 from labdaemon.tomlfile import read_toml
 
 PART_CYCLE = 0.05
@@ -16,6 +16,8 @@ STATED_TABLE_SD = 0.002
 """Relative sd of the table's amplitude where it is only stated: a calibrated controller holds it so well."""
 LEAST_TABLE_SD = 2e-4
 """Smallest relative sd of an amplitude that a gauge saw: its record and the exposure are not quite the same time."""
+SHOWN = 4
+"""Names that a message lists."""
 LARGEST_GAUGE_SD = 0.1
 """Relative sd from which on a gauge's amplitude is not used."""
 
@@ -105,6 +107,33 @@ def capture_facts(folder: Path) -> dict[str, CaptureFacts]:
         about = _read_capture_file(path)
         stated.setdefault(about.get("group") or path.parent.name, []).append((path.parent.name, about))
     return {name: _joined(members) for name, members in stated.items()}
+
+
+def check_captures(folder: Path, measured: Collection[str], facts: Mapping[str, CaptureFacts]) -> None:
+    """Check that results are of this folder's captures; nothing is known of captures without a file.
+
+    Parameters
+    ----------
+    measured
+        Captures and groups that the results name.
+    facts
+        From `capture_facts`.
+
+    Raises
+    ------
+    DataError
+        Not a single one of them is.
+    """
+    if facts and measured and not facts.keys() & set(measured):
+        raise DataError(
+            f"its results are of {_listed(measured)}, but its captures are {_listed(facts)}: columns were swapped, "
+            "groups were renamed, or the results are another folder's; run: labdaemon process FOLDER",
+            file=folder,
+        )
+
+
+def _listed(names: Collection[str]) -> str:
+    return ", ".join(list(names)[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
 
 
 def _read_capture_file(path: Path) -> dict[str, Any]:

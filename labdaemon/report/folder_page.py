@@ -11,7 +11,16 @@ from typing import Any
 import cv2
 
 from labdaemon.errors import ConfigError, DataError
-from labdaemon.processing import NOT_FRAMES, RESULTS, CaptureFacts, Row, capture_facts, open_folder, read_csv
+from labdaemon.processing import (
+    NOT_FRAMES,
+    RESULTS,
+    CaptureFacts,
+    Row,
+    capture_facts,
+    check_captures,
+    open_folder,
+    read_csv,
+)
 from labdaemon.report.accuracy import CaptureAccuracy, compare
 from labdaemon.report.flagged_patches import flagged_patches
 from labdaemon.report.gauge_comparison import read_gauges
@@ -92,6 +101,7 @@ def report_folder(
     facts = _facts(folder)
     cameras = sorted({path.stem for path in folder.glob("captures/*/*") if path.suffix not in NOT_FRAMES})
     measured = envelopes(results)
+    check_captures(folder, measured, known)
     if len(measured) > MAX_ILLUSTRATED:
         cameras = []
     shown = [

@@ -64,6 +64,15 @@ def test_results_that_cannot_be_read_are_named(folder: Path, text: str | None, s
     assert str(path) in str(caught.value)
 
 
+def test_results_of_other_captures_are_refused(folder: Path):
+    path = folder / "results" / "envelope.csv"
+    lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    swapped = [",".join([line[1], line[0], *line[2:]]) for line in lines[1:]]
+    path.write_text("\n".join([",".join(lines[0]), *swapped]), encoding="utf-8")
+    with pytest.raises(DataError, match="results are of T1, T2, nœud 3, but its captures are eight, five, twelve"):
+        read_results(folder)
+
+
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path):
     with pytest.raises(DataError, match="is not a folder"):
         read_results(tmp_path / "nowhere")
