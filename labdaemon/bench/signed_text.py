@@ -56,9 +56,10 @@ def _image_line(result: SignedResult) -> str:
     bound = float(np.median([one.bound_phase_deg for one in chosen]))
     ratio = _rms([one.phase_error_deg / one.bound_phase_deg for one in chosen])
     amplitude = np.percentile([abs(one.amplitude_error_mm) for one in chosen], 95)
+    goal = f"; goal {result.case.goal_deg:g}°" if np.isfinite(result.case.goal_deg) else ""
     return (
         f"{result.case.title}: {len(chosen)} of {len(every)} unflagged, phase sd {sd:.2f}° stated, {found:.2f}° found "
-        f"(medians; goal {result.case.goal_deg:g}°), bound {bound:.2f}°, {ratio:.2f} x the bound (goal 1.3); amplitude "
+        f"(medians{goal}), bound {bound:.2f}°, {ratio:.2f} x the bound (goal 1.3); amplitude "
         f"95 % within {amplitude:.4f} mm (goal 0.006); pulls {_pulls(chosen):.2f}"
     )
 

@@ -23,6 +23,11 @@ class LightSettings:
     same_valley_rad: float = 0.4
     """Difference of phase up to which two minima are one valley, whose covariance holds both. Trial: codes of seven
     sectors make twins from 0.3 rad on, but those nearer than this are one motion for any practical purpose."""
+    valley_scan_sd_rad: float = 0.015
+    """Linear standard deviation of a phase from which its valley is followed on either side. Trial: narrower ones are
+    parabolas."""
+    valley_scan_steps: int = 6
+    """Phases that are tried on either side, up to `same_valley_rad`. Trial."""
     light_parts: int = 8
     """Parts of the cycle whose brightness is checked, where the code has more sectors."""
     light_correction_sd: float = 0.05

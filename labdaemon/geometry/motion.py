@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdaemon.flags import Flag
+from labdaemon.geometry.orbit_prior import AxisRatio
 
 FloatArray = NDArray[np.float64]
 
@@ -89,6 +90,8 @@ class IntersectedMotion:
         Logarithm of the odds for the motion against its alternative, from the residuals alone.
     signed
         Whether both carry the excitation's phase.
+    axis_ratio
+        Of a signed motion that rays and images settle without a prior of the ratio; None of others.
     """
 
     motion: ObjectMotion
@@ -96,3 +99,4 @@ class IntersectedMotion:
     resolved_by: str = ""
     evidence: float = 0.0
     signed: bool = False
+    axis_ratio: AxisRatio | None = None

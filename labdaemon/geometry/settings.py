@@ -95,6 +95,10 @@ class IntersectionSettings:
     """Step that is the last one. Numerics."""
     orbit_share: float = 0.2
     """Prior share of motions that are orbits of any ratio. Trial."""
+    orbit_share_targets: float = 4.0
+    """Targets as which that prior counts against those of the capture. Trial."""
+    orbit_share_steps: int = 20
+    """Steps to the capture's own share of orbits. Numerics."""
     phase_spread_rad: float = 0.05
     """Spread of phases about the one that targets of one mode share. Trial: complex modes of damped structures."""
     other_phase_share: float = 0.2

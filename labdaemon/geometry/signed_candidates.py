@@ -6,8 +6,7 @@ each image has against its candidate is added to what the rays have against the 
 
 Rays alone do not decide where the motion lies in the epipolar plane: one twin in one camera is then an orbit in that
 plane. Structures move in phase more often than not, so an orbit that a combination needs, where another one needs none,
-speaks against it. The prior is a mixture: most motions are in phase within a few per cent, the others orbits of any
-ratio of their axes.
+speaks against it (`orbit_prior`).
 
 The same prior belongs into what is reported. A camera that looks along the path sees a small motion of which it hardly
 knows the phase, and in the epipolar plane the rays turn the difference of two phases into an orbit. So the free motion
@@ -17,7 +16,7 @@ and the one whose minor axis is held by the prior are weighed by their odds; the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -26,23 +25,45 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray, ImageMotion
 from labdaemon.geometry.motion_adjustment import Candidate
 from labdaemon.geometry.motion_candidates import phased_candidate
+from labdaemon.geometry.orbit_prior import AxisRatio
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.settings import INTERSECTION
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SignedCandidate(Candidate):
+    """A combination of the images' candidates.
+
+    Attributes
+    ----------
+    image_excess
+        What the images have against their candidates, a part of `sign_penalty`; the rest is the prior's.
+    axis_ratio
+        As the rays alone have it; None at rest.
+    """
+
+    image_excess: float = 0.0
+    axis_ratio: AxisRatio | None = None
+
+
 def signed_candidates(
-    cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion]
-) -> list[Candidate]:
+    cameras: Sequence[OrientedCamera],
+    exterior: FloatArray,
+    motions: Sequence[ImageMotion],
+    orbit_share: float = INTERSECTION.orbit_share,
+) -> list[SignedCandidate]:
     """Solutions of signed vectors for all combinations of the images' alternatives, the best first.
 
     Parameters
     ----------
     cameras, exterior, motions
         As for `phased_candidate`.
+    orbit_share
+        Share of orbits among motions, beforehand.
 
     Returns
     -------
-    list of Candidate
+    list of SignedCandidate
         One for each combination; what is known otherwise is in `sign_penalty`.
 
     Raises
@@ -56,70 +77,44 @@ def signed_candidates(
     ]
     combinations = sorted(product(*choices), key=lambda chosen: sum(one.excess for one in chosen))
     if len(combinations) == 1:
-        return [with_phase_prior(phased_candidate(cameras, exterior, motions))]
-    found = []
+        return [with_phase_prior(phased_candidate(cameras, exterior, motions), orbit_share)]
+    found: list[SignedCandidate] = []
     for chosen in combinations[: INTERSECTION.max_combinations]:
         try:
-            candidate = phased_candidate(cameras, exterior, chosen)
+            candidate = with_phase_prior(phased_candidate(cameras, exterior, chosen), orbit_share)
         except DataError:
             continue
-        penalty = sum(one.excess for one in chosen) + orbit_penalty(candidate)
-        found.append(replace(with_phase_prior(candidate), sign_penalty=penalty))
+        excess = sum(one.excess for one in chosen)
+        ratio = candidate.axis_ratio
+        penalty = excess + (0.0 if ratio is None else ratio.penalty(orbit_share))
+        found.append(replace(candidate, sign_penalty=penalty, image_excess=excess))
     if not found:
-        return [with_phase_prior(phased_candidate(cameras, exterior, motions))]
+        return [with_phase_prior(phased_candidate(cameras, exterior, motions), orbit_share)]
     return sorted(found, key=lambda candidate: candidate.total_cost)
 
 
-def orbit_penalty(candidate: Candidate) -> float:
-    """What the prior has against a motion's minor axis, twice the logarithm of the odds against a straight path."""
-    straight, orbit = _prior_odds(candidate)
-    peak = _prior_peak(candidate)
-    return float(2 * np.log((peak + orbit) / (straight + orbit)))
-
-
-def with_phase_prior(candidate: Candidate) -> Candidate:
+def with_phase_prior(candidate: Candidate, orbit_share: float = INTERSECTION.orbit_share) -> SignedCandidate:
     """A candidate, its minor axis known as well as the prior says: the mean over motions in phase and orbits.
 
     Parameters
     ----------
     candidate
         Signed vectors as the rays alone have them.
+    orbit_share
+        Share of orbits among motions, beforehand.
     """
-    straight, orbit = _prior_odds(candidate)
-    if straight <= 0:
-        return candidate
-    share = straight / (straight + orbit)
     free, covariance = candidate.motion_mm.ravel(), candidate.covariance_mm2
-    held, held_covariance = _in_phase(free, covariance)
-    away = held - free
-    mean = free + share * away
-    total = share * held_covariance + (1 - share) * covariance + share * (1 - share) * np.outer(away, away)
-    return replace(candidate, motion_mm=mean.reshape(3, 3), covariance_mm2=total)
-
-
-def _prior_odds(candidate: Candidate) -> tuple[float, float]:
-    """Prior densities of the ratio of the axes that was found: of motions in phase, and of orbits."""
-    major, minor, sd = _axis_ratio(candidate)
-    if major <= 0:
-        return 0.0, INTERSECTION.orbit_share
-    return _prior_peak(candidate) * float(np.exp(-((minor / major / sd) ** 2) / 2)), INTERSECTION.orbit_share
-
-
-def _prior_peak(candidate: Candidate) -> float:
-    """Density of a straight path among motions in phase, for the sd of the ratio."""
-    major, _, sd = _axis_ratio(candidate)
-    return float((1 - INTERSECTION.orbit_share) * np.sqrt(2 / np.pi) / sd) if major > 0 else 0.0
-
-
-def _axis_ratio(candidate: Candidate) -> tuple[float, float, float]:
-    """Major and minor semi-axis, and the sd of their ratio where the motion is in phase."""
-    vectors = candidate.motion_mm[1:].T
-    left, sizes, right = np.linalg.svd(vectors, full_matrices=False)
-    major, minor = float(sizes[0]), float(sizes[1])
-    # The minor axis changes by what is along it, a quarter of a cycle later than the major one.
-    slope = np.kron(right[1], left[:, 1])
-    variance = float(slope @ candidate.covariance_mm2[3:, 3:] @ slope)
-    return major, minor, float(np.hypot(np.sqrt(max(variance, 0.0)) / max(major, 1e-12), INTERSECTION.in_phase_ratio))
+    ratio = AxisRatio.of_motion(candidate.motion_mm, covariance)
+    share = 0.0 if ratio is None else ratio.straight_probability(orbit_share)
+    mean, total = free, covariance
+    if share > 0:
+        held, held_covariance = _in_phase(free, covariance)
+        away = held - free
+        mean = free + share * away
+        total = share * held_covariance + (1 - share) * covariance + share * (1 - share) * np.outer(away, away)
+    return SignedCandidate(
+        mean.reshape(3, 3), total, candidate.cost, candidate.freedom, candidate.worst_px, axis_ratio=ratio
+    )
 
 
 def _in_phase(free: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -14,11 +14,12 @@ from labdaemon.flags import Flag
 from labdaemon.geometry.motion import FloatArray, ImageMotion, IntersectedMotion, ObjectMotion
 from labdaemon.geometry.motion_adjustment import Candidate
 from labdaemon.geometry.motion_candidates import orbit_candidates, straight_candidates
+from labdaemon.geometry.orbit_prior import estimate_orbit_share
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases, phase_cost
 from labdaemon.geometry.resolution import resolve_ambiguous_targets
 from labdaemon.geometry.settings import INTERSECTION
-from labdaemon.geometry.signed_candidates import signed_candidates
+from labdaemon.geometry.signed_candidates import SignedCandidate, signed_candidates
 from labdaemon.orbit_axes import largest_sign, principal_axes
 
 
@@ -28,6 +29,7 @@ def intersect_motion(
     *,
     covariance: FloatArray | None = None,
     evidence: Sequence[float] | None = None,
+    orbit_share: float = INTERSECTION.orbit_share,
 ) -> IntersectedMotion:
     """Motion in space of one target seen by several cameras.
 
@@ -43,10 +45,12 @@ def intersect_motion(
         cameras independent of each other.
     evidence
         What each camera knows of the sign of its a, see `straight_candidates`.
+    orbit_share
+        Share of orbits among signed motions, beforehand.
 
     Returns
     -------
-    Joined
+    IntersectedMotion
 
     Raises
     ------
@@ -67,7 +71,7 @@ def intersect_motion(
     phased = all(motion.phased for motion in motions)
     phase_unresolved = phased and any(motion.axes is not None for motion in motions)
     if phased and not phase_unresolved:
-        return _signed_motion(signed_candidates(cameras, exterior, motions))
+        return _signed_motion(signed_candidates(cameras, exterior, motions, orbit_share))
     if phase_unresolved:
         return _fuse_alternatives(cameras, exterior, motions)
     motions = [_principal_motion(motion) for motion in motions]
@@ -98,10 +102,11 @@ def intersect_motion(
     return IntersectedMotion(joined, _object_motion(rival, ratio, phased=False), evidence=odds)
 
 
-def _signed_motion(candidates: Sequence[Candidate]) -> IntersectedMotion:
+def _signed_motion(candidates: Sequence[SignedCandidate]) -> IntersectedMotion:
     """The best combination of signed motions, flagged where another one is not excluded."""
     best = candidates[0]
-    rival = next((one for one in candidates[1:] if _turn_between(best, one) > INTERSECTION.phase_apart_rad), None)
+    others = [one for one in candidates[1:] if _turn_between(best, one) > INTERSECTION.phase_apart_rad]
+    rival = others[0] if others else None
     ratio = None if rival is None else float(np.sqrt(rival.total_cost / max(best.total_cost, 1e-12)))
     signed = _object_motion(best, ratio, phased=True)
     if chi2.sf(best.cost, best.freedom) < INTERSECTION.sign_conflict_probability:
@@ -109,9 +114,16 @@ def _signed_motion(candidates: Sequence[Candidate]) -> IntersectedMotion:
     scale = max(1.0, best.cost / best.freedom) if best.freedom > 0 else 1.0
     gap = np.inf if rival is None else _cost_difference(best, rival, scale)
     if rival is None or gap >= INTERSECTION.twin_cost_gap:
-        return IntersectedMotion(signed, resolved_by="phase", signed=True)
+        by_images = all(_image_difference(best, one, scale) >= INTERSECTION.twin_cost_gap for one in others)
+        axis_ratio = best.axis_ratio if by_images else None
+        return IntersectedMotion(signed, resolved_by="phase", signed=True, axis_ratio=axis_ratio)
     signed = replace(signed, flags=signed.flags | {Flag.AMBIGUOUS})
     return IntersectedMotion(signed, _object_motion(rival, ratio, phased=True), evidence=0.5 * float(gap), signed=True)
+
+
+def _image_difference(best: SignedCandidate, other: SignedCandidate, scale: float) -> float:
+    """As `_cost_difference`, by rays and images alone: no prior takes part."""
+    return (other.cost - best.cost) / scale + other.image_excess - best.image_excess
 
 
 def _fuse_alternatives(
@@ -222,7 +234,9 @@ def intersect_targets(
     members: Mapping[str, str] | None = None,
     evidence: Mapping[str, Mapping[str, float]] | None = None,
 ) -> IntersectedTargets:
-    """Join all targets of a capture, then settle by continuity what the cameras left open.
+    """Join all targets of a capture, then settle by the others what the cameras left open.
+
+    Targets under coded light are joined twice: those that need no prior say how many motions of the capture are orbits.
 
     Parameters
     ----------
@@ -243,21 +257,32 @@ def intersect_targets(
     """
     known = evidence or {}
     camera_names = list(cameras)
-    joined: dict[str, IntersectedMotion] = {}
     refused: dict[str, str] = {}
     nothing = np.full(3, np.nan)
-    for target, images in motions.items():
-        present = [i for i, name in enumerate(camera_names) if name in images]
-        rows = np.array([6 * i + k for i in present for k in range(6)], dtype=int)
-        try:
-            joined[target] = intersect_motion(
-                [cameras[camera_names[i]] for i in present],
-                [images[camera_names[i]] for i in present],
-                covariance=None if covariance is None else covariance[np.ix_(rows, rows)],
-                evidence=[known.get(target, {}).get(camera_names[i], 0.0) for i in present],
-            )
-        except DataError as exc:
-            refused[target] = str(exc)
+
+    def intersect_all(targets: Iterable[str], orbit_share: float) -> dict[str, IntersectedMotion]:
+        found = {}
+        for target in targets:
+            images = motions[target]
+            present = [i for i, name in enumerate(camera_names) if name in images]
+            rows = np.array([6 * i + k for i in present for k in range(6)], dtype=int)
+            try:
+                found[target] = intersect_motion(
+                    [cameras[camera_names[i]] for i in present],
+                    [images[camera_names[i]] for i in present],
+                    covariance=None if covariance is None else covariance[np.ix_(rows, rows)],
+                    evidence=[known.get(target, {}).get(camera_names[i], 0.0) for i in present],
+                    orbit_share=orbit_share,
+                )
+            except DataError as exc:
+                refused[target] = str(exc)
+        return found
+
+    joined = intersect_all(motions, INTERSECTION.orbit_share)
+    ratios = [one.axis_ratio for one in joined.values() if one.axis_ratio is not None]
+    if ratios:
+        signed = [target for target, one in joined.items() if one.signed]
+        joined |= intersect_all(signed, estimate_orbit_share(ratios))
     joined = resolve_ambiguous_targets(joined, members)
     result = {
         target: joined[target].motion

@@ -208,3 +208,20 @@ def test_near_a_node_a_target_is_at_rest_and_costs_no_more_than_others(area, see
     assert found.flags == {Flag.AT_REST}
     assert np.all(np.linalg.eigvalsh(found.covariance_px2) > -1e-12)
     assert max(counts) < 500
+
+
+def test_a_small_motion_is_within_its_deviations_on_the_shelf_of_its_valley(area) -> None:
+    """Its cost is nearly level for 15°: by the curvature at the minimum alone, the truth was 6 deviations away."""
+    scene = area.Scene(radius_px=12.0)
+    sharp = fit_sharp(
+        Dot(30, 30, 12, 12, 0.0, name="t", paper_px=200), [area.render(scene, (60, 60), (30.2, 29.7), seed=1)]
+    )
+    v, phase = 1.3 * np.array([0.8, 0.6]), np.radians(8.0)
+    truth = np.concatenate((v * np.cos(phase), v * np.sin(phase)))
+    image = render_coded(area, scene, SEVEN, truth, 6, 61)
+    window = ExposureWindow(5.0, 1.0, light=LightCode(SEVEN, 0.0, 5))
+    guess = [InitialGuess(np.array([30.0, 30.0]))]
+    found = measure_group(sharp, [image], [window], defocus=Defocus(0.0, 0.01), initial_guesses=guess)
+    assert not found.flags
+    away = np.concatenate((found.a_px, found.b_px)) - truth
+    assert away @ np.linalg.solve(found.covariance_px2[2:, 2:], away) < 14  # χ² of four

@@ -12,7 +12,9 @@ from labdaemon.geometry import ImageMotion, ObjectMotion, intersect_motion, inte
 from labdaemon.geometry.common_phase import compare_phases, phase_of
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion_candidates import phased_candidate
-from labdaemon.geometry.signed_candidates import orbit_penalty, signed_candidates, with_phase_prior
+from labdaemon.geometry.orbit_prior import AxisRatio, estimate_orbit_share
+from labdaemon.geometry.settings import INTERSECTION
+from labdaemon.geometry.signed_candidates import signed_candidates, with_phase_prior
 
 TWO = [(-500, -1000, 300), (500, -1000, 500)]
 LEVEL = [(-500, -1000, 370), (500, -1000, 370)]
@@ -26,11 +28,11 @@ def turned(a, b, angle):
     return c * a - s * b, s * a + c * b
 
 
-def image(camera, a, b, *, twin_rad: float, excess: float, wrong: bool = False) -> ImageMotion:
+def image(camera, a, b, *, twin_rad: float, excess: float, wrong: bool = False, sd_px: float = SD_PX) -> ImageMotion:
     """A camera's image of a motion and its twin; `wrong` takes the twin for the better one."""
     numbers = project_motion(camera.project_with_jacobians, np.stack([MEAN, a, b]))[0]
     twin = turned(numbers[2:4], numbers[4:], twin_rad)
-    noise = np.eye(6) * SD_PX**2
+    noise = np.eye(6) * sd_px**2
     motions = [(numbers[2:4], numbers[4:]), twin]
     first, second = motions[::-1] if wrong else motions
     other = ImageMotion(numbers[:2], *second, noise, True, excess=excess)
@@ -96,10 +98,38 @@ def test_the_prior_prefers_lines_and_does_not_forbid_orbits(look) -> None:
     for ratio in (0.0, 0.01, 0.3, 1.0):
         a, b = np.array([-2.0, 0.0, 0.5]), ratio * np.array([0.0, 2.0, 0.0])
         seen = [image(one, a, b, twin_rad=2.0, excess=50.0) for one in cameras]
-        penalties.append(orbit_penalty(phased_candidate(cameras, exterior, seen)))
+        found = with_phase_prior(phased_candidate(cameras, exterior, seen)).axis_ratio
+        assert found is not None
+        penalties.append(found.penalty(INTERSECTION.orbit_share))
     assert penalties[0] < 0.5
     assert np.all(np.diff(penalties) > -1e-6)
     assert 5.0 < penalties[-1] < 12.0
+
+
+def test_targets_that_need_no_prior_say_how_many_orbits_there_are() -> None:
+    lines = [AxisRatio(0.01 * (index % 4), 0.03) for index in range(30)]
+    orbits = [AxisRatio(ratio, 0.03) for ratio in np.linspace(0.2, 0.9, 30)]
+    assert estimate_orbit_share([]) == pytest.approx(INTERSECTION.orbit_share)
+    assert estimate_orbit_share(lines) < 0.06
+    assert 0.4 < estimate_orbit_share([*lines, *orbits]) < 0.6
+    assert lines[0].penalty(0.03) == pytest.approx(0.0, abs=1e-9)
+    assert orbits[0].penalty(0.03) > orbits[0].penalty(0.2) + 3.0
+
+
+def test_level_motion_on_lines_leaves_no_twin_open(look) -> None:
+    """In the epipolar plane every twin is an orbit that the rays allow: the other targets say that there are none."""
+    cameras = dict(zip("lr", [look(place) for place in LEVEL], strict=True))
+    a, b = np.array([-2.0, 1.0, 0.0]), np.array([-1.0, 0.5, 0.0])
+    seen = {
+        f"T{index}": {
+            name: image(one, a, b, twin_rad=1.2 + (name == "l"), excess=0.5 if index < 2 else 40.0, sd_px=0.8)
+            for name, one in cameras.items()
+        }
+        for index in range(12)
+    }
+    assert Flag.AMBIGUOUS in intersect_targets(cameras, {"T0": seen["T0"]}).motions["T0"].flags
+    found = intersect_targets(cameras, seen)
+    assert not any(motion.flags for motion in found.motions.values())
 
 
 def noisy_image(camera, a, b, sd_phase: float, rng) -> ImageMotion:

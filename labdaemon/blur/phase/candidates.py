@@ -14,8 +14,10 @@ import numpy as np
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.valley_width import widen_by_valley
 from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
 from labdaemon.blur.smear.gls_frames import compare_solutions, gls_refine_frames
+from labdaemon.blur.smear.uncertainty import windowed_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 
 MotionVectors = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -28,6 +30,8 @@ class WeighedCandidates:
 
     Attributes
     ----------
+    transfer_factory
+        The kind of motion.
     best, refined
         The most likely one, and the same after its last steps with the paper texture in the weights.
     rivals
@@ -36,6 +40,7 @@ class WeighedCandidates:
         Twice the logarithm of the odds of the best against each of them.
     """
 
+    transfer_factory: TransferFactory
     best: Solution
     refined: Solution
     rivals: tuple[Solution, ...]
@@ -46,6 +51,7 @@ class WeighedCandidates:
         frame_set: FrameSet,
         value: FloatArray,
         covariance: FloatArray,
+        unmodelled: FloatArray,
         vectors: MotionVectors,
     ) -> tuple[FloatArray, tuple[AlternativeMotion, ...]]:
         """The covariance with rivals of the same valley in it, and those of other valleys.
@@ -56,10 +62,13 @@ class WeighedCandidates:
             The frames that were fitted.
         value, covariance
             (6,) and (6, 6) x, y, a, b of the best and their covariance.
+        unmodelled
+            (6, 6) the part of it that the fit does not know of (a straight path's minor axis).
         vectors
             From all parameters to x, y, a, b.
         """
-        alternatives = []
+        alternatives: list[AlternativeMotion] = []
+        covariance = widen_by_valley(frame_set, self.best, value, covariance)
         total, weight = covariance.copy(), 1.0
         phasor = value[2:4] + 1j * value[4:6]
         for rival, excess in zip(self.rivals, self.excess, strict=True):
@@ -71,11 +80,14 @@ class WeighedCandidates:
                 total += odds * (covariance + np.outer(away, away))
                 weight += odds
             elif excess < LIGHT.rival_limit:
-                scale = float(np.linalg.norm(other[2:])) / max(float(np.linalg.norm(value[2:])), 1e-12)
-                # As well known as the best one, turned by the difference of phase.
-                turned = _turned_covariance(covariance, turn, scale)
-                ambient = ambient_estimate(frame_set, rival, rival.covariance, by_parameters)
-                alternatives.append(AlternativeMotion(other[:2], other[2:4], other[4:], turned, excess, ambient))
+                # A code shows some phases several times better than others: each motion has its own covariance.
+                full = windowed_covariance(rival, frame_set, self.transfer_factory)
+                own = by_parameters @ full @ by_parameters.T + _turned_covariance(unmodelled, float(turn))
+                own = widen_by_valley(frame_set, rival, other, own)
+                ambient = ambient_estimate(frame_set, rival, full, by_parameters)
+                one = AlternativeMotion(other[:2], other[2:4], other[4:], own, excess, ambient)
+                if all(abs(_turn_between(one, kept)) > LIGHT.same_valley_rad / 2 for kept in alternatives):
+                    alternatives.append(one)
         return total / weight, tuple(alternatives)
 
 
@@ -96,14 +108,20 @@ def weigh_candidates(
     scale = max(solutions[0].chi2, LIGHT.min_noise_scale)
     close = [one for one in solutions if one.cost - solutions[0].cost < 2 * LIGHT.rival_limit * scale]
     if len(close) == 1:
-        return WeighedCandidates(close[0], gls_refine_frames(frame_set, close[0], transfer_factory), (), ())
+        refined = gls_refine_frames(frame_set, close[0], transfer_factory)
+        return WeighedCandidates(transfer_factory, close[0], refined, (), ())
     costs = np.array(compare_solutions(frame_set, close, transfer_factory))
     order = np.argsort(costs)
-    refined = [gls_refine_frames(frame_set, close[index], transfer_factory) for index in order]
+    best, *rivals = [gls_refine_frames(frame_set, close[index], transfer_factory) for index in order]
     excess = (costs[order] - costs[order[0]]) / scale
     return WeighedCandidates(
-        close[int(order[0])], refined[0], tuple(refined[1:]), tuple(float(one) for one in excess[1:])
+        transfer_factory, close[int(order[0])], best, tuple(rivals), tuple(float(one) for one in excess[1:])
     )
+
+
+def _turn_between(first: AlternativeMotion, second: AlternativeMotion) -> float:
+    """Phase of the second motion, less that of the first."""
+    return float(np.angle(np.vdot(first.a_px + 1j * first.b_px, second.a_px + 1j * second.b_px)))
 
 
 def ambient_estimate(
@@ -131,10 +149,10 @@ def ambient_estimate(
     )
 
 
-def _turned_covariance(covariance: FloatArray, turn_rad: float, scale: float) -> FloatArray:
+def _turned_covariance(covariance: FloatArray, turn_rad: float) -> FloatArray:
     """(6, 6) covariance of x, y, a, b of a motion whose phase is another."""
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     jacobian = np.eye(6)
-    jacobian[2:, 2:] = max(scale, 1.0) * np.kron(np.array([[c, -s], [s, c]]), np.eye(2))
+    jacobian[2:, 2:] = np.kron(np.array([[c, -s], [s, c]]), np.eye(2))
     result: FloatArray = jacobian @ covariance @ jacobian.T
     return result

@@ -143,13 +143,13 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
         covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
     if profile.coded:
-        covariance, alternatives = weighed.report(frame_set, value, covariance, signed)
+        covariance, alternatives = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif time_reversed is not None:
         away = selector @ (time_reversed.p - best.p)
         ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
         if not alone and not phase_unresolved:
-            _, alternatives = weighed.report(frame_set, value, covariance, signed)
+            _, alternatives = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
     found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
     if not profile.coded:
         return replace(found, alternatives=alternatives)
@@ -176,7 +176,8 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
     minor_axis_variance_px2 = minor.mean_square(size)
     n, c, s = perpendicular(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
     quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
-    covariance = in_phase.covariance + minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
+    unmodelled = minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
+    covariance = in_phase.covariance + unmodelled
     ambiguous, alternatives = is_bimodal(profile), tuple[AlternativeMotion, ...]()
     ambient: AmbientEstimate | None = None
     if frame_set.shows_phase and not in_phase.phase_unresolved:
@@ -184,7 +185,7 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
         def signed(p: FloatArray) -> tuple[FloatArray, FloatArray]:
             return in_phase_vectors((selector @ p)[None])[0], in_phase_jacobian(selector @ p) @ selector
 
-        covariance, alternatives = weighed.report(frame_set, in_phase.value, covariance, signed)
+        covariance, alternatives = weighed.report(frame_set, in_phase.value, covariance, unmodelled, signed)
         ambient = ambient_estimate(frame_set, refined, full, signed(refined.p)[1])
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif profile.rivals:
