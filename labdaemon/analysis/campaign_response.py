@@ -87,8 +87,7 @@ def _assemble(
     if not known:
         raise DataError("no capture states its frequency_hz in capture.toml: nothing can be compared", file=folder)
     if strange:
-        some = ", ".join(strange[:4]) + (" …" if len(strange) > 4 else "")
-        notes.append(f"{folder.name}: captures/ has nothing of {some}; left out")
+        notes.append(f"{folder.name}: captures/ has nothing of {_some(strange)}; left out")
     silent = len(rows) - len(known) - len(strange)
     if silent:
         notes.append(f"{folder.name}: {silent} of {len(rows)} captures state no frequency; left out")
@@ -100,8 +99,18 @@ def _assemble(
     missing = sum(step.sd_table == UNKNOWN_TABLE_SD for step in steps)
     if missing:
         notes.append(f"{folder.name}: {missing} captures do not state the table's amplitude, so it is taken as unknown")
-    notes += [f"{folder.name}: {text}" for text in _doubts(found.series)]
-    return CampaignResponse(folder, found.series, found.positions_mm, found.directions, tuple(notes))
+    series, positions_mm = found.series, found.positions_mm
+    is_seen = series.valid().any(axis=(0, 2)) & np.isfinite(positions_mm).all(axis=1)
+    if is_seen.any() and not is_seen.all():
+        lost = [name for name, seen in zip(series.targets, is_seen, strict=True) if not seen]
+        notes.append(f"{folder.name}: never measured without a flag, and left out: {_some(lost)}")
+        series, positions_mm = series.with_targets(np.flatnonzero(is_seen)), positions_mm[is_seen]
+    notes += [f"{folder.name}: {text}" for text in _doubts(series)]
+    return CampaignResponse(folder, series, positions_mm, found.directions, tuple(notes))
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
 
 
 def _doubts(series: ResponseSeries) -> list[str]:

@@ -229,7 +229,7 @@ def compress(values: ComplexArray, weights: FloatArray, common: FloatArray) -> t
     """
     steps = (weights > 0).mean(axis=0) > 0.5
     whole = (weights[:, steps] > 0).all(axis=1)
-    if len(values) <= COMPONENTS or not whole.any() or whole.sum() < 0.5 * len(values):
+    if len(values) <= COMPONENTS or not steps.any() or not whole.any() or whole.sum() < 0.5 * len(values):
         return values, weights
     inside = np.ix_(whole, steps)
     value, error = values[inside], 1 / weights[inside]

@@ -42,7 +42,7 @@ def fit_similarity(points_mm: FloatArray, onto_mm: FloatArray) -> Similarity | N
     middle, onto = points_mm.mean(axis=0), onto_mm.mean(axis=0)
     one, two = points_mm - middle, onto_mm - onto
     left, size, right = np.linalg.svd(two.T @ one)
-    if size[1] < 1e-4 * size[0]:
+    if size[1] <= 1e-4 * size[0]:
         return None
     mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
     rotation = left @ np.diag(mirror) @ right

@@ -20,11 +20,11 @@ def budget(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     measured = [row for row in rows if size_mm(row) is not None]
     sure = [row for row in measured if not is_doubtful(row)]
     moving = [(size_mm(row) or 0.0, semi_amplitude_sd_mm(row)) for row in sure if AT_REST not in (row["flags"] or ())]
-    sds = [(size, sd) for size, sd in moving if sd is not None and sd > 0]
+    sds = [(size, sd) for size, sd in moving if sd is not None and sd > 0 and size > 0]
     sentences = []
     if sds:
         values = [sd for _, sd in sds]
-        share = 100 * statistics.median(sd / size for size, sd in sds if size > 0)
+        share = 100 * statistics.median(sd / size for size, sd in sds)
         sentences.append(
             f"Amplitude: the standard deviation is {statistics.median(values):.4f} mm in the median and below "
             f"{float(np.quantile(values, 0.95)):.4f} mm for 95 % of {len(values)} readings without a flag, or "

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,6 +55,21 @@ def test_modes_of_a_sweep(campaign: Path) -> None:
     ratio = found["transmissibility"]
     assert len(ratio["frequency_hz"]) == len(ratio["targets"]["L05"]["value"]) == 26
     assert max(ratio["targets"]["L05"]["value"]) > 20
+
+
+def test_a_target_that_was_never_found_is_left_out(campaign: Path, tmp_path: Path) -> None:
+    """It has no place; the search for columns once went on for ever."""
+    other = shutil.copytree(campaign, tmp_path / "hidden")
+    path = other / "results" / "envelope.csv"
+    header, *lines = path.read_text().splitlines()
+    behind = len(header.split(",flags,")[1].split(","))
+    lost = [f"{line[:8]}{',' * 20}not_found{',' * behind}" if line[5:8] == "L02" else line for line in lines]
+    path.write_text("\n".join([header, *lost]) + "\n")
+    result = CliRunner().invoke(cli, ["modes", str(other), "--json"], catch_exceptions=False)
+    found = json.loads(result.stdout)
+    assert len(found["modes"]) == 2
+    assert set(found["modes"][0]["shape"]) == set(NAMES) - {"L02"}
+    assert "hidden: never measured without a flag, and left out: L02" in found["notes"]
 
 
 def test_text(campaign: Path) -> None:

@@ -45,6 +45,8 @@ def test_members_and_levels() -> None:
     assert np.allclose(levels(POSITIONS), HEIGHTS)
     assert [len(one) for one in targets_of_levels(POSITIONS, HEIGHTS)] == [2] * 9
     assert members(POSITIONS[:2]) == []
+    unknown = np.concatenate([POSITIONS, np.full((1, 3), np.nan), POSITIONS[:1] + np.array([20.0, 0.0, 0.4])])
+    assert [one.tolist() for one in members(unknown)] == [one.tolist() for one in found], "no place, or the same height"
 
 
 def test_nodes_by_delta_method_and_by_monte_carlo() -> None:

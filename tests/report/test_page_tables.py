@@ -123,6 +123,8 @@ def test_the_uncertainty_is_put_into_words():
     flat = [one | {"sd_y_mm": None} for one in rows]
     assert "One camera" in " ".join(budget(flat))
     assert budget([]) == []
+    still = {name: 0.0 for name in rows[0] if name[0] in "ab" and name.endswith("_mm")}
+    assert "Amplitude" not in " ".join(budget([row | still for row in rows])), "no amplitude to compare an sd with"
 
 
 def test_the_origin_names_calibration_and_the_digest_of_every_photograph(tmp_path: Path):
