@@ -100,7 +100,7 @@ def _assemble(
     if missing:
         notes.append(f"{folder.name}: {missing} captures do not state the table's amplitude, so it is taken as unknown")
     series, positions_mm = found.series, found.positions_mm
-    is_seen: BoolArray = series.valid().any(axis=2).any(axis=0) & np.isfinite(positions_mm).all(axis=1)
+    is_seen = np.logical_and(series.valid().any(axis=(0, 2)), np.isfinite(positions_mm).all(axis=1))
     if is_seen.any() and not is_seen.all():
         lost = [name for name, seen in zip(series.targets, is_seen, strict=True) if not seen]
         notes.append(f"{folder.name}: never measured without a flag, and left out: {_some(lost)}")
