@@ -137,7 +137,8 @@ def join_frames(
         envelope.append(envelope_row(name, target, motion, flags, sign))
     files = folder.capture(captures[-1]).frames
     drawn = tuple((camera, file.relative_to(folder.root)) for camera, file in files.items())
-    return CaptureResult(name, tuple(captures), rows, envelope, tuple(_notes(frames, name)), drawn)
+    notes = [*_notes(frames, name), *_unknown_phases(folder, captures)]
+    return CaptureResult(name, tuple(captures), rows, envelope, tuple(notes), drawn)
 
 
 def join_motions(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, tuple[ObjectMotion, set[Flag]]]:
@@ -295,3 +296,13 @@ def _notes(frames: Sequence[FrameResult], name: str) -> list[str]:
         for target, reason in motion.excluded.items()
     ]
     return [*(note for frame in frames for note in frame.notes), *left_out]
+
+
+def _unknown_phases(folder: DataFolder, captures: Sequence[str]) -> list[str]:
+    """Captures under coded light whose motions could be signed, if the phase of the code were known."""
+    abouts = [(name, folder.capture(name).about) for name in captures]
+    return [
+        f"{name}: capture.toml has light, but no light_phase_rad: motions are measured without phase and sign"
+        for name, about in abouts
+        if about.light is not None and about.light_phase_rad is None
+    ]

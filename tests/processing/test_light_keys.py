@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from pydantic import ValidationError
 
 from labdaemon.errors import ConfigError
-from labdaemon.processing.folder import CaptureFile, _read_capture
+from labdaemon.processing.envelope import _unknown_phases
+from labdaemon.processing.folder import CaptureFile, DataFolder, _read_capture
 
 CODE = {"light": [1, 1, 1, 0, 1, 0, 0], "frequency_hz": 5.0, "exposure_s": 1.0, "light_cycles": 4}
 
@@ -84,3 +86,14 @@ def test_a_capture_file_is_refused_in_words_that_help(tmp_path: Path, text: str,
     with pytest.raises(ConfigError) as refused:
         _read_capture(path, ("left",))
     assert said in str(refused.value)
+
+
+def test_a_code_of_unknown_phase_is_said(tmp_path: Path) -> None:
+    code = "frequency_hz = 5.0\nexposure_s = 1.0\nlight = [1, 1, 1, 0, 1, 0, 0]\n"
+    for name, text in (("c1", code), ("c2", f"{code}light_phase_rad = 0.0\n"), ("c3", "frequency_hz = 5.0\n")):
+        (tmp_path / "captures" / name).mkdir(parents=True)
+        (tmp_path / "captures" / name / "left.dng").touch()
+        (tmp_path / "captures" / name / "capture.toml").write_text(text)
+    folder = DataFolder(tmp_path, SimpleNamespace(cameras={"left": None}), (), ())
+    (note,) = _unknown_phases(folder, ("c1", "c2", "c3"))
+    assert note.startswith("c1: capture.toml has light, but no light_phase_rad")
