@@ -84,6 +84,12 @@ def _assemble(
         raise DataError(
             "has no captures/*/capture.toml, so that no frequency is known: nothing can be compared", file=folder
         )
+    if not known and strange:
+        raise DataError(
+            f"its results are of {_some(strange)}, which are in groups now or have no capture.toml: no frequency is "
+            "known; run: labdaemon process FOLDER",
+            file=folder,
+        )
     if not known:
         raise DataError("no capture states its frequency_hz in capture.toml: nothing can be compared", file=folder)
     if strange:

@@ -124,7 +124,8 @@ def check_captures(folder: Path, measured: Collection[str], facts: Mapping[str, 
     DataError
         Not a single one of them is.
     """
-    if facts and measured and not facts.keys() & set(measured):
+    places = {path.name for path in folder.glob("captures/*")}
+    if facts and measured and not (facts.keys() | places) & set(measured):
         raise DataError(
             f"its results are of {_listed(measured)}, but its captures are {_listed(facts)}: columns were swapped, "
             "groups were renamed, or the results are another folder's; run: labdaemon process FOLDER",

@@ -73,6 +73,16 @@ def test_results_of_other_captures_are_refused(folder: Path):
         read_results(folder)
 
 
+def test_captures_without_files_are_next_to_those_that_have_some(folder: Path):
+    """One was measured before the others were taken."""
+    for name in ("five", "eight-1", "eight-2"):
+        (folder / "captures" / name / "capture.toml").unlink()
+    path = folder / "results" / "envelope.csv"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join(line for line in lines if line.startswith(("capture", "five"))), encoding="utf-8")
+    assert read_results(folder).facts[0].frequency_hz is None
+
+
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path):
     with pytest.raises(DataError, match="is not a folder"):
         read_results(tmp_path / "nowhere")
