@@ -57,8 +57,10 @@ class DotBench:
 
     def sharp(self, amplitude_mm: float, paper: int) -> SharpTarget:
         """A dot at rest, on a sheet of its own that is seen as far as the motion will reach."""
-        patch = self._photograph(amplitude_mm, paper, None)
-        middle = (patch.shape[0] - 1) / 2
+        # All paper that the motion will bring into the patch; an even number of pixels, as the mosaic repeats.
+        beyond = 2 * int(np.ceil(0.6 * amplitude_mm * PX_PER_MM))
+        patch = self._photograph(amplitude_mm, paper, None, beyond)
+        middle = (patch.shape[0] - 1) / 2 - beyond
         dot = Dot(middle, middle, RADIUS_MM * PX_PER_MM, RADIUS_MM * PX_PER_MM, 0.0, name=f"T{paper}")
         return fit_sharp(dot, [patch])
 
@@ -88,11 +90,12 @@ class DotBench:
 
         return self._photograph(amplitude_mm, paper, motion)
 
-    def _photograph(self, amplitude_mm: float, paper: int, motion: object) -> Patch:
+    def _photograph(self, amplitude_mm: float, paper: int, motion: object, beyond: int = 0) -> Patch:
         half = int(np.ceil((RADIUS_MM + 1.15 * amplitude_mm) * PX_PER_MM)) + MARGIN_PX
+        half += beyond
         size = 2 * half + 1
-        # The paper moves with the dot: its edges stay out of the patch.
-        sheet = (size + 60) / PX_PER_MM + 2.5 * amplitude_mm
+        # The paper moves with the dot: its edges stay out of the patch. Sheets of another size have another texture.
+        sheet = 2 * RADIUS_MM + 8 * amplitude_mm + (2 * MARGIN_PX + 70) / PX_PER_MM
         target = {"name": "T", "centre_mm": (0.0, 0.0, 0.0), "diameter_mm": 2 * RADIUS_MM, "paper_mm": (sheet, sheet)}
         scene = {
             "targets": [target],
@@ -104,7 +107,8 @@ class DotBench:
             "seed": 1000 * self._seed + paper,
         }
         image = render_dot(self._render, scene, half, motion)
-        return mosaic_patch(image + self._rng.normal(size=image.shape) * np.sqrt(PLAIN_NOISE.variance(image)))
+        noise = self._rng.normal(size=image.shape) * np.sqrt(PLAIN_NOISE.variance(image))
+        return replace(mosaic_patch(image + noise), origin_px=(-beyond, -beyond))
 
 
 def render_dot(render: Renderer, scene: Mapping[str, object], half: int, motion: object) -> FloatArray:

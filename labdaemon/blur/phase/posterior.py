@@ -15,6 +15,9 @@ from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.settings import PHASE
 
+MIN_PHASE_VARIANCE = 1e-12
+"""Variance below which the phase was held. Numerics."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPhaseMotion:
@@ -47,8 +50,8 @@ def marginalise_phase(
     profile
         Costs at all phases.
     p, covariance
-        (5,) and (5, 5) x, y, vx, vy, ψ of the best solution and their linear covariance; of a single frame with its
-        phase held.
+        (5,) and (5, 5) x, y, vx, vy, ψ of the best solution and their linear covariance; of a single frame that
+        hardly shows its phase with that held.
     unrefined
         (5,) the same without the paper texture in the weights.
     inflation
@@ -63,7 +66,8 @@ def marginalise_phase(
         place = int(np.argmin(np.abs(np.angle(np.exp(1j * (phases - p[4]))))))
         near = np.where(_wall_height(cost, place) > PHASE.barrier_cost, 0.0, probability)
     scatter = 2 * float(near @ (1 - np.cos(phases - p[4]))) / max(float(near.sum()), 1e-300)
-    is_linear = profile.periodic and max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2
+    is_held = covariance[4, 4] < MIN_PHASE_VARIANCE
+    is_linear = not is_held and max(covariance[4, 4], scatter) < PHASE.linear_phase_sd_rad**2
     if profile.is_narrow or is_linear:
         v = p[2:4]
         jacobian = in_phase_jacobian(p)

@@ -14,12 +14,13 @@ import numpy as np
 
 from labdaemon.blur.patch.illumination import render_illumination
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.settings import GLS, SOLVER
+from labdaemon.blur.settings import GLS, PHASE, SOLVER
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
 from labdaemon.blur.smear.gls import FramePart, FrameWeights, TextureMotion, frame_equations, refined_solution
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.least_squares import scaled_inverse
 
+IN_PHASE_PARAMETERS = 3  # vx, vy, ψ
 HELD_PHASE_SD_RAD = 1e-7
 """Standard deviation of a phase that is held. Numerics."""
 
@@ -27,9 +28,9 @@ HELD_PHASE_SD_RAD = 1e-7
 def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
     """As `gls_refine`, of a target in several frames, each through its own window: normal equations add over frames.
 
-    Where the phase hardly shows the model is curved, and steps are repeated. A single frame under constant light does
-    not show its phase: at the turning points of the phase the model has no slope there, and a step has no bound. The
-    phase is held, and its variance is 0; `marginalise_phase` and `condition_on_phase` account for all phases.
+    Where the phase hardly shows the model is curved, and steps are repeated. A single frame under constant light hardly
+    shows it near its turning points: the model has no slope there, and a step has no bound. The phase is then held, and
+    its variance is 0; `marginalise_phase` and `condition_on_phase` account for all phases.
 
     Parameters
     ----------
@@ -44,20 +45,21 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
     if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
     unrefined = solution
+    held = not _shows_phase(frame_set, solution)
     # Near rest the phase does not show and the sd has no bound: a step may leave the paths that the model represents.
     longest_px = _max_amplitude_px(frame_set, unrefined.p)
     if not np.linalg.norm(unrefined.p[frame_set.first_motion :]) <= longest_px:
         return unrefined
     for _ in range(GLS.frame_steps):
         before = solution
-        solution = _step_frames(frame_set, before, transfer_factory)
+        solution = _step_frames(frame_set, before, transfer_factory, held=held)
         away = np.abs(solution.p - unrefined.p)
         if not np.all(away <= GLS.max_step_sd * np.sqrt(np.abs(np.diag(solution.covariance))) + HELD_PHASE_SD_RAD):
             return unrefined
         motion = slice(frame_set.first_motion, None)
         if not np.linalg.norm(solution.p[motion]) <= longest_px:
             return unrefined
-        if frame_set.shows_phase and not np.linalg.eigvalsh(solution.covariance[motion, motion])[0] > 0:
+        if not held and not np.linalg.eigvalsh(solution.covariance[motion, motion])[0] > 0:
             return unrefined
         step = np.abs(solution.p - before.p)
         if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance)) + HELD_PHASE_SD_RAD):
@@ -106,11 +108,23 @@ def compare_solutions(
     return costs
 
 
-def _step_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
-    """One step of `gls_refine_frames`."""
+def _shows_phase(frame_set: FrameSet, solution: Solution) -> bool:
+    """Whether the phase can be a parameter: of a single frame where it is in phase, and not near its turning points."""
+    if frame_set.shows_phase:
+        return True
+    if len(solution.p) - frame_set.first_motion != IN_PHASE_PARAMETERS:
+        return False
+    (window,) = frame_set.windows
+    middle = float(solution.p[-1]) + (window.phase_rad or 0.0) + np.pi * window.cycles
+    sd = float(np.sqrt(max(solution.covariance[-1, -1], 0.0)))
+    return sd < PHASE.linear_phase_sd_rad and abs(np.cos(middle)) > 3 * sd
+
+
+def _step_frames(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory, *, held: bool) -> Solution:
+    """One step of `gls_refine_frames`, with the phase held or free."""
     equations, _ = _frames_equations(frame_set, solution, transfer_factory, None)
     prior = frame_set.prior(len(solution.p) - frame_set.first_motion)
-    if not frame_set.shows_phase:
+    if held:
         along = _phase_direction(solution.p, frame_set.first_motion)
         equations[:-1, :-1] += np.outer(along, along) / HELD_PHASE_SD_RAD**2
     return refined_solution(solution, equations[:-1, :-1], equations[:-1, -1], prior)
