@@ -53,8 +53,8 @@ class WeighedCandidates:
         covariance: FloatArray,
         unmodelled: FloatArray,
         vectors: MotionVectors,
-    ) -> tuple[FloatArray, tuple[AlternativeMotion, ...]]:
-        """The covariance with rivals of the same valley in it, and those of other valleys.
+    ) -> tuple[FloatArray, tuple[AlternativeMotion, ...], FloatArray]:
+        """The covariance with rivals of the same valley in it, those of other valleys, and the scatter of the axis.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class WeighedCandidates:
             From all parameters to x, y, a, b.
         """
         alternatives: list[AlternativeMotion] = []
-        covariance = widen_by_valley(frame_set, self.best, value, covariance)
+        covariance, axis_scatter_px2 = widen_by_valley(frame_set, self.best, value, covariance)
         total, weight = covariance.copy(), 1.0
         phasor = value[2:4] + 1j * value[4:6]
         for rival, excess in zip(self.rivals, self.excess, strict=True):
@@ -83,12 +83,12 @@ class WeighedCandidates:
                 # A code shows some phases several times better than others: each motion has its own covariance.
                 full = windowed_covariance(rival, frame_set, self.transfer_factory)
                 own = by_parameters @ full @ by_parameters.T + _turned_covariance(unmodelled, float(turn))
-                own = widen_by_valley(frame_set, rival, other, own)
+                own, _ = widen_by_valley(frame_set, rival, other, own)
                 ambient = ambient_estimate(frame_set, rival, full, by_parameters)
                 one = AlternativeMotion(other[:2], other[2:4], other[4:], own, excess, ambient)
                 if all(abs(_turn_between(one, kept)) > LIGHT.same_valley_rad / 2 for kept in alternatives):
                     alternatives.append(one)
-        return total / weight, tuple(alternatives)
+        return total / weight, tuple(alternatives), axis_scatter_px2
 
 
 def weigh_candidates(

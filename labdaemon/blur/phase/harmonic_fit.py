@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, LightScore
 from labdaemon.blur.patch.pixels import FloatArray
@@ -143,13 +144,17 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
         covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
     if profile.coded:
-        covariance, alternatives = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
+        covariance, alternatives, scatter_px2 = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
+        phase = major_phase_rad(value[2:4], value[4:])
+        unit = np.array([np.cos(phase), np.sin(phase)])
+        held[2:, 2:] += np.kron(np.outer(unit, unit), scatter_px2)
+        phase_unresolved = phase_unresolved or _is_arc(scatter_px2, value, covariance)
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif time_reversed is not None:
         away = selector @ (time_reversed.p - best.p)
         ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
         if not alone and not phase_unresolved:
-            _, alternatives = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
+            _, alternatives, _ = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
     found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
     if not profile.coded:
         return replace(found, alternatives=alternatives)
@@ -185,7 +190,13 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
         def signed(p: FloatArray) -> tuple[FloatArray, FloatArray]:
             return in_phase_vectors((selector @ p)[None])[0], in_phase_jacobian(selector @ p) @ selector
 
-        covariance, alternatives = weighed.report(frame_set, in_phase.value, covariance, unmodelled, signed)
+        covariance, alternatives, scatter_px2 = weighed.report(
+            frame_set, in_phase.value, covariance, unmodelled, signed
+        )
+        if _is_arc(scatter_px2, in_phase.value, covariance):
+            axis_covariance = in_phase.axis_covariance.copy()
+            axis_covariance[2:, 2:] += scatter_px2
+            in_phase = replace(in_phase, axis_covariance=axis_covariance, phase_unresolved=True)
         ambient = ambient_estimate(frame_set, refined, full, signed(refined.p)[1])
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif profile.rivals:
@@ -262,6 +273,11 @@ def _sd_phase(value: FloatArray, covariance: FloatArray) -> float:
     return float(
         np.sqrt(max(float(by_phase @ covariance[2:, 2:] @ by_phase), 0.0)) / max(float(by_phase @ by_phase), 1e-12)
     )
+
+
+def _is_arc(scatter_px2: FloatArray, value: FloatArray, covariance: FloatArray) -> bool:
+    """Whether a valley of the phase was widened to an arc, which no covariance describes."""
+    return bool(scatter_px2.any()) and _sd_phase(value, covariance) > PHASE.linear_phase_sd_rad
 
 
 def _vector_length(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:

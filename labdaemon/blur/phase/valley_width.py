@@ -7,9 +7,12 @@ its standard deviations away. So the cost is followed on either side, and each p
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import PHASE
@@ -18,7 +21,9 @@ from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 
 
-def widen_by_valley(frame_set: FrameSet, near: Solution, value: FloatArray, covariance: FloatArray) -> FloatArray:
+def widen_by_valley(
+    frame_set: FrameSet, near: Solution, value: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """The covariance with the scatter over all phases of the valley, where that is larger than the linear one.
 
     Parameters
@@ -32,37 +37,42 @@ def widen_by_valley(frame_set: FrameSet, near: Solution, value: FloatArray, cova
 
     Returns
     -------
-    FloatArray
-        (6, 6); as given where the phase is known well, and under constant light.
+    covariance, axis_scatter_px2
+        (6, 6), as given where the phase is known well, and under constant light; (2, 2) the scatter of the semi-axis
+        over the valley, for those who do not use the phase.
     """
+    nothing = np.zeros((2, 2))
     if not any(window.is_coded for window in frame_set.windows):
-        return covariance
+        return covariance, nothing
     phasor = value[2:4] + 1j * value[4:]
     size2 = float(np.sum(np.abs(phasor) ** 2))
     by_phase = np.concatenate((-value[4:], value[2:4]))
     variance = float(by_phase @ covariance[2:, 2:] @ by_phase) / max(size2**2, 1e-12)
     if not LIGHT.valley_scan_sd_rad**2 < variance < PHASE.linear_phase_sd_rad**2:
-        return covariance
-    phase = float(np.angle(np.sum(phasor**2)) / 2)
+        return covariance, nothing
+    phase = major_phase_rad(value[2:4], value[4:])
     vector = np.real(phasor * np.exp(-1j * phase))
     offsets, costs, places = _scan(frame_set, near, phase, vector)
-    fine = np.linspace(offsets[0], offsets[-1], PHASE.phase_count)
+    fine = np.linspace(offsets[0], offsets[-1], PHASE.phase_count + 1)
     cost = CubicSpline(offsets, costs)(fine)
-    away = CubicSpline(offsets, places - places[len(offsets) // 2])(fine)
+    moved = CubicSpline(offsets, places)(fine)
     probability = np.exp(-(cost - cost.min()) / (2 * max(near.chi2, LIGHT.min_noise_scale)))
     probability /= probability.sum()
     scatter = float(probability @ fine**2)
     if scatter <= variance:
-        return covariance
-    result: FloatArray = covariance + (1 - variance / scatter) * (probability * away.T) @ away
-    return result
+        return covariance, nothing
+    weight = (1 - variance / scatter) * probability
+    axes = np.cos(phase + fine)[:, None] * moved[:, 2:4] + np.sin(phase + fine)[:, None] * moved[:, 4:]
+    middle = len(fine) // 2
+    beside, away = axes - axes[middle], moved - moved[middle]
+    return covariance + (weight * away.T) @ away, (weight * beside.T) @ beside
 
 
 def _scan(
     frame_set: FrameSet, near: Solution, phase_rad: float, vector: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """In-phase motions about a phase: (n,) offsets, (n,) costs, and (n, 6) x, y, ax, ay, bx, by."""
-    fixed, frames = frame_set.with_fixed_shape(), len(frame_set.problems)
+    fixed, frames = _as_lit(frame_set, near).with_fixed_shape(), len(frame_set.problems)
     start = np.concatenate((near.p[: FRAME_PARAMETERS * frames], vector))
     kept = near.weight
     reach = 3.0 + 1.5 * float(np.hypot(*vector))
@@ -96,3 +106,17 @@ def _scan(
         turned = phase_rad + offset
         rows.append(np.concatenate((place, p[-2:] * np.cos(turned), p[-2:] * np.sin(turned))))
     return np.array([one[0] for one in found]), np.array([one[1] for one in found]), np.array(rows)
+
+
+def _as_lit(frame_set: FrameSet, near: Solution) -> FrameSet:
+    """The frames with the ambient light that was fitted instead of the stated one."""
+    if not frame_set.ambient_count:
+        return frame_set
+    correction = float(near.p[frame_set.first_motion - 1])
+    windows = [
+        window
+        if window.light is None
+        else replace(window, light=replace(window.light, ambient=max(window.light.ambient + correction, 0.0)))
+        for window in frame_set.windows
+    ]
+    return replace(frame_set, windows=windows)
