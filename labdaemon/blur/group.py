@@ -8,6 +8,7 @@ import numpy as np
 
 from labdaemon.blur.average import average_measurements
 from labdaemon.blur.fit.label_edge import prepare_on_label
+from labdaemon.blur.fit.texture_windows import measure_still_texture
 from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measurement, empty_measurement
@@ -18,7 +19,6 @@ from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.fit_problem import FitProblem
-from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.smear.member_agreement import flag_contradiction
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
@@ -83,7 +83,9 @@ def measure_group(
             return empty_measurement(sharp.name, {Flag.NOT_FOUND})
         problems.append(problem)
     there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
-    frame_set = FrameSet.from_problems(sharp.with_scale_uncertainty(there), problems, windows, blurs)
+    frame_set = measure_still_texture(sharp.with_scale_uncertainty(there), problems, windows, blurs)
+    if isinstance(frame_set, Measurement):
+        return frame_set
     frame_set, fitted = fit_with_harmonics(frame_set, harmonics)
     return flag_contradiction(phased_measurement(frame_set, fitted), frame_set, fitted.solution)
 

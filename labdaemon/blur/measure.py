@@ -10,6 +10,7 @@ from labdaemon.blur.fit.harmonic_refit import refit_with_harmonics
 from labdaemon.blur.fit.label_edge import measure_on_label, reaches_patch
 from labdaemon.blur.fit.occlusion import fit_occluded, is_plain_dot
 from labdaemon.blur.fit.refit import contrast_ratio, failure_flags, refit_without_occluder
+from labdaemon.blur.fit.texture_windows import measure_still_texture
 from labdaemon.blur.fit.waveform_fit import measure_waveform
 from labdaemon.blur.fit.whole_cycles import measure_whole_cycles
 from labdaemon.blur.harmonics import MotionHarmonics
@@ -116,7 +117,10 @@ def _measure_patch(
             return measure_waveform(sharp, problem, blur, waveform)
         phased = window is not None and window.phase_rad is not None and fraction > MEASURE.whole_cycle_tolerance
         if window is not None and (phased or window.is_coded):
-            return measure_known_window(sharp, problem, blur, window, orbit=orbit, harmonics=harmonics)
+            seen = measure_still_texture(sharp, [problem], [window], [blur])
+            if isinstance(seen, Measurement):
+                return seen
+            return measure_known_window(seen, window, orbit=orbit, harmonics=harmonics)
         flags = {Flag.PART_CYCLES} if fraction > MEASURE.part_cycle_limit else set()
         sine = measure_whole_cycles(sharp, patch, problem, blur, orbit=orbit, flags=flags)
         return sine if harmonics is None else refit_with_harmonics(sharp, problem, blur, sine, harmonics)
@@ -124,7 +128,8 @@ def _measure_patch(
     found = (
         fit(problem) if problem is not None else empty_measurement(sharp.name, failure_flags(sharp, patch, expected))
     )
-    if problem is not None and problem.blob is None and _is_lost(sharp, problem, expected, found):
+    is_texture = problem is not None and problem.blob is None and bool(np.isfinite(found.a_px).all())
+    if problem is not None and is_texture and _is_lost(sharp, problem, expected, found):
         return empty_measurement(sharp.name, {Flag.NOT_FOUND})
     if problem is not None and not (found.chi2 > MEASURE.occlusion_chi2 and Flag.POOR_FIT in found.flags):
         return found

@@ -18,12 +18,17 @@ class TextureSettings:
     """The same over the strongest direction's gradient: less is light, dirt and interpolation. Trial."""
     iterations: int = 25
     """Most steps of the fit."""
+    frame_iterations: int = 8
+    """The same through windows and under coded light, from a converged fit by least squares."""
     last_step_sd: float = 0.03
     """Step, in standard deviations, after which the fit stops."""
     rest_start_px2: float = 2.0
     """Motion of the first fit, as a², below which rest is tried as a start as well: noise may have made it. Trial."""
     rest_evidence: float = 13.0
     """Twice the log likelihood by which a path must exceed rest. Statistics: 0.15 % for two degrees of freedom."""
+    extra_blur_sd_px2: float = 0.03
+    """Prior standard deviation of what a frame loses in sharpness, the same in all directions. It shows across a
+    straight path. Real one-second exposures: 0.05 px² on average."""
     min_share: float = 0.05
     """Smallest part of a direction's normal matrix that counts as information; the rest is noise. Numerics."""
     mixed_sds: float = 5.0

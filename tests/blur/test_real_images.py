@@ -53,12 +53,16 @@ def test_real_frame(shared_data):
 @pytest.mark.slow
 def test_real_forks(shared_data):
     folder = shared_data / "real_forks"
-    errors = {}
+    errors, pulls = {}, []
     for name, film in json.loads((folder / "truth.json").read_text()).items():
         blurred = grey(np.load(folder / f"{name}_blurred.npy").astype(float))
         for side, truth in film["targets"].items():
             sharp = grey(np.load(folder / f"{name}_{side}_sharp_turning.npy").astype(float))
             found = measure(make_textured_patch(sharp, tuple(truth["patch_xywh"])), blurred)
             errors[name, side] = float(np.hypot(*found.a_px)) - truth["rms_amp_sqrt2_px"]
+            pulls.append(errors[name, side] / found.sd_px)
+    pull = float(np.sqrt(np.mean(np.square(pulls))))
+    print(f"ten forks: mean error {np.mean([*errors.values()]):+.4f} px, pulls {pull:.2f}")
     assert len(errors) == 10
+    assert 0.6 <= pull <= 1.5
     assert max(abs(e) for e in errors.values()) <= 0.06, errors

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labdaemon.blur.defocus_settings import DEFOCUS
 from labdaemon.blur.fit.accelerated import nearest_straight_path
 from labdaemon.blur.fit.direct import SquaredAxes, clip_defocus, fit_orbit, orbit_bounds
 from labdaemon.blur.fit.mixed_motion import motion_varies
@@ -123,7 +124,8 @@ def _whole_motion(
     moves = evidence > TEXTURE.rest_evidence
     if motion_varies(problem, best, start[3 + k :]):
         flags.add(Flag.MIXED_MOTION)
-    if orbit and axes.shows_major and axes.values_px2[1] > UNCERTAINTY.rest_sds * sd_minor:
+    sd_round = float(np.hypot(sd_minor, 2 * TEXTURE.extra_blur_sd_px2))
+    if orbit and axes.shows_major and axes.values_px2[1] > UNCERTAINTY.rest_sds * sd_round:
         pick = [0, 1, 3 + k, 4 + k, 5 + k]
         value, covariance = axes_from_moment(best.p[pick], best.covariance[np.ix_(pick, pick)])
         centre, a, b = value[:2], value[2:4], value[4:]
@@ -138,6 +140,8 @@ def _whole_motion(
             covariance[: 3 + k, : 3 + k] = best.covariance[: 3 + k, : 3 + k]
         centre = p[:2]
         a, b, covariance = straight_path_covariance(p, covariance, k, sd_minor)
+        if moves:
+            a, covariance = _without_extra_blur(a, covariance, moment, spread)
     size = float(np.hypot(*a))
     along = a / max(size, 1e-12)
     sd_along = float(np.sqrt(max(float(along @ covariance[2:4, 2:4] @ along), 0.0)))
@@ -157,6 +161,37 @@ def _whole_motion(
         defocus_px2=float(best.p[2]),
         chi2=first.chi2,
     )
+
+
+def _without_extra_blur(
+    a: FloatArray, covariance: FloatArray, moment: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Major axis and covariance of a straight path, less the sharpness that the frame lost in all directions.
+
+    Across a straight path the second moment shows nothing but extra blur. Its prior, the two components of the moment
+    and their covariance give the part of it that is in the squared amplitude.
+
+    Parameters
+    ----------
+    a, covariance
+        (2,) and (6, 6) of the fit without extra blur.
+    moment, spread
+        (3,) second moment and its covariance.
+    """
+    size = float(np.hypot(*a))
+    c, s = a / max(size, 1e-12)
+    rays = np.array([[c * c, 2 * c * s, s * s], [s * s, -2 * c * s, c * c]])
+    seen, variance = rays @ moment, rays @ spread @ rays.T
+    across = max(float(variance[1, 1]), 1e-12)
+    prior = (2 * TEXTURE.extra_blur_sd_px2) ** 2
+    blur = float(seen[1]) * prior / (prior + across)
+    shift = (1 - float(variance[0, 1]) / across) * blur
+    extra = (1 - float(variance[0, 1]) / across) ** 2 * prior * across / (prior + across)
+    extra += (DEFOCUS.anisotropy_fraction * blur) ** 2  # it need not be the same along the path
+    longer = float(np.sqrt(max(size**2 - shift, size**2 / 4)))
+    result = covariance.copy()
+    result[2:4, 2:4] += extra / (4 * longer**2) * np.outer((c, s), (c, s))
+    return a * (longer / max(size, 1e-12)), result
 
 
 def _across_only(

@@ -289,6 +289,8 @@ def _vector_length(vector: FloatArray, covariance: FloatArray) -> tuple[float, f
 
 def smear_moment(frame_set: FrameSet) -> FloatArray:
     """(2, 2) aaᵀ + bbᵀ as the smears' moments have it."""
+    if frame_set.moment_px2 is not None:
+        return frame_set.moment_px2
     moments = [s.blob.moment_px2 for s in frame_set.problems if s.blob is not None]
     if not moments:
         return 4.0 * np.eye(2)

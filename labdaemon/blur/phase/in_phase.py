@@ -39,6 +39,7 @@ from labdaemon.blur.smear.frame_set import (
     window_fixed_phase_transfer,
     window_in_phase_transfer,
 )
+from labdaemon.blur.smear.texture_frames import correct_cost
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import window_nodes
@@ -198,13 +199,16 @@ def _at(
         p[-2:] += (PHASE.min_along_px - along) * side
         return p
 
-    model, prior = fixed.forward_model(window_fixed_phase_transfer(phase_rad), max_amplitude_px), fixed.prior(2)
+    transfer_factory, prior = window_fixed_phase_transfer(phase_rad), fixed.prior(2)
+    model = fixed.forward_model(transfer_factory, max_amplitude_px)
     if weight is None:
-        return solve(fixed.planes, fixed.weights, model, start, prior, bound=bound)
-    kept = weight
-    return solve(
-        fixed.planes, lambda _: kept, model, start, prior, bound=bound, light=light, max_iterations=6, tolerance=0.2
-    )
+        found = solve(fixed.planes, fixed.weights, model, start, prior, bound=bound)
+    else:
+        kept = weight
+        found = solve(
+            fixed.planes, lambda _: kept, model, start, prior, bound=bound, light=light, max_iterations=6, tolerance=0.2
+        )
+    return correct_cost(fixed, found, transfer_factory)
 
 
 def _refine_minima(
@@ -231,13 +235,14 @@ def _refine_minima(
             # The image depends on sin μ, of which the slope is nothing there: nothing would move.
             phase += 0.4 * float(phases[abs(index - 1)] - phases[index])
         start = with_free_phase(frame_set, near, phase)
-        refined.append(solve(frame_set.planes, frame_set.weights, model, start, prior, bound=bound, light=near.light))
+        found = solve(frame_set.planes, frame_set.weights, model, start, prior, bound=bound, light=near.light)
+        refined.append(correct_cost(frame_set, found, window_in_phase_transfer))
     return sorted(refined, key=lambda one: one.cost)
 
 
 def _initial_vector(fixed: FrameSet, moment_px2: FloatArray, phase_rad: float) -> FloatArray:
     """The smear's major semi-axis; for a texture, which has no smear to be measured, the best of several."""
-    if not isinstance(fixed.sharp.form, TexturedPatch):
+    if fixed.moment_px2 is not None or not isinstance(fixed.sharp.form, TexturedPatch):
         values, vectors = np.linalg.eigh(moment_px2)
         result: FloatArray = np.sqrt(max(values[1], PHASE.min_moment_px2)) * vectors[:, 1]
         return result

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from labdaemon.blur.harmonics import MotionHarmonics
-from labdaemon.blur.motion import Defocus, ExposureWindow, Measurement
+from labdaemon.blur.motion import ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.harmonic_fit import HarmonicFit
 from labdaemon.blur.phase.harmonic_window import fit_with_harmonics
 from labdaemon.blur.phase.orbits import perpendicular
 from labdaemon.blur.phase.posterior import InPhaseMotion
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
 from labdaemon.blur.smear.uncertainty import quality_flags
 from labdaemon.flags import Flag
@@ -20,22 +19,15 @@ from labdaemon.orbit_axes import orient_positive, principal_axes
 
 
 def measure_known_window(
-    sharp: SharpTarget,
-    problem: FitProblem,
-    blur: Defocus,
-    window: ExposureWindow,
-    *,
-    orbit: bool,
-    harmonics: MotionHarmonics | None = None,
+    frame_set: FrameSet, window: ExposureWindow, *, orbit: bool, harmonics: MotionHarmonics | None = None
 ) -> Measurement:
     """One frame through a known window: the axes as over whole cycles, but without the bias of the part cycle.
 
     Under constant light the phase of a single frame has a mirror image that fits as well, so it is not reported; see
     `measure_group`. Under coded light it is.
     """
-    frame_set = FrameSet.from_problems(sharp, [problem], [window], [blur])
     frame_set, found = fit_with_harmonics(frame_set, harmonics, orbit=orbit)
-    return phased_measurement(frame_set, found) if window.is_coded else drop_phase(sharp, found)
+    return phased_measurement(frame_set, found) if window.is_coded else drop_phase(frame_set.sharp, found)
 
 
 def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:

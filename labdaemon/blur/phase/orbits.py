@@ -16,6 +16,7 @@ from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.fit_problem import TransferFunction
 from labdaemon.blur.smear.frame_set import FrameSet, window_orbit_transfer
 from labdaemon.blur.smear.gls_frames import gls_refine_frames
+from labdaemon.blur.smear.texture_frames import correct_cost
 from labdaemon.blur.smear.uncertainty import robust_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import gauss_newton_step, solve
@@ -69,7 +70,10 @@ def estimate_minor_axis(frame_set: FrameSet, profile: PhaseProfile) -> MinorAxis
     found = gauss_newton_step(frame_set.planes, frame_set.weights, model, at, prior, profile.best.light)
     found = gls_refine_frames(frame_set, found, _minor_axis_transfer)
     covariance = robust_covariance(frame_set.sharp, found, frame_set.planes)
-    return MinorAxis(float(found.p[-2]), float(found.p[-1]), covariance[-2:, -2:])
+    size, square, longest = float(found.p[-2]), float(found.p[-1]), 3.0 * float(np.hypot(*profile.vector))
+    if not (abs(size) <= longest and abs(square) <= longest**2):
+        size = square = 0.0  # a step without bound, where the phase hardly shows
+    return MinorAxis(size, square, covariance[-2:, -2:])
 
 
 def solve_orbit(
@@ -104,7 +108,8 @@ def solve_orbit(
         return [frame_set.initial_parameters(a, b, np.concatenate((a, b))) for a, b in pairs]
 
     def solve_all(starts: Sequence[FloatArray], weights: Weights = frame_set.weights) -> list[Solution]:
-        return [solve(planes, weights, model, start, prior, max_iterations=25) for start in starts]
+        found = [solve(planes, weights, model, start, prior, max_iterations=25) for start in starts]
+        return [correct_cost(frame_set, one, window_orbit_transfer) for one in found]
 
     starts = initial(pairs)
     costs = [_rough_cost(frame_set, model(start)[0]) for start in starts]

@@ -14,6 +14,7 @@ from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.time_reversal import differ, time_reversed_solutions, wrap_angle
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, window_in_phase_transfer
+from labdaemon.blur.smear.texture_frames import correct_cost
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 
@@ -46,10 +47,12 @@ def follow_valleys(
     starts = [solutions[index] for index in minima if coded or cost[index] < cost[minima[0]] + PHASE.max_extra_cost]
     start = with_free_phase(frame_set, starts[0], float(phases[minima[0]]))
     first = solve(frame_set.planes, frame_set.weights, model, start, prior, light=starts[0].light)
+    first = correct_cost(frame_set, first, window_in_phase_transfer)
     kept = first.weight  # so that costs can be compared
 
     def follow(start: FloatArray, near: Solution) -> Solution:
-        return solve(frame_set.planes, lambda _: kept, model, start, prior, light=near.light, max_iterations=20)
+        found = solve(frame_set.planes, lambda _: kept, model, start, prior, light=near.light, max_iterations=20)
+        return correct_cost(frame_set, found, window_in_phase_transfer)
 
     found = [first]
     found += [

@@ -23,7 +23,7 @@ from scipy import fft, linalg
 
 from labdaemon.blur.patch.colour_planes import merge_planes
 from labdaemon.blur.patch.illumination import illumination_derivatives, render_illumination
-from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.patch.pixels import BoolArray, ComplexArray, FloatArray
 from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.fast_forward_model import fast_forward_model
@@ -41,33 +41,40 @@ class TransferMoments:
     Attributes
     ----------
     transfer
-        (f,) H with the relative contrast.
+        (f,) H with the relative contrast; complex where the exposure is not of whole cycles.
     slopes
-        (m, f) derivatives by the parameters that change the noise's power; 0 for the others.
-    shifts
-        (m, f) derivatives that only turn the phase (by x and y).
+        (m, f) derivatives by the parameters; those by x and y only turn the phase.
     """
 
-    transfer: FloatArray
-    slopes: FloatArray
-    shifts: FloatArray
+    transfer: ComplexArray
+    slopes: ComplexArray
+
+    @property
+    def power(self) -> FloatArray:
+        """(f,) |H|²."""
+        return _squared(self.transfer)
+
+    @property
+    def power_slopes(self) -> FloatArray:
+        """(m, f) half the derivatives of |H|²."""
+        result: FloatArray = np.real(self.slopes * np.conj(self.transfer))
+        return result
 
     @property
     def through(self) -> float:
         """Mean |H|²."""
-        return float(np.mean(self.transfer**2))
+        return float(np.mean(self.power))
 
     @property
     def through_slopes(self) -> FloatArray:
         """(m,) derivatives of the mean |H|²."""
-        result: FloatArray = 2 * np.mean(self.slopes * self.transfer, axis=1)
+        result: FloatArray = 2 * np.mean(self.power_slopes, axis=1)
         return result
 
     @property
     def bends(self) -> FloatArray:
         """(m, m) mean products of the derivatives."""
-        result: FloatArray = (self.slopes @ self.slopes.T + self.shifts @ self.shifts.T) / len(self.transfer)
-        return result
+        return _products(self.slopes) / len(self.transfer)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,24 +140,50 @@ def transfer_moments(
     """H and its derivatives at parameters p, for white noise."""
     grid, k = problem.grid, problem.shape_count
     band = np.abs(grid.fx) + np.abs(grid.fy) < 0.5 if len(form.channel) > 1 else np.ones(grid.fx.shape, dtype=bool)
-    return _moments_at(grid.fx[band], grid.fy[band], k, motion, p, contrast)
+    return _moments_at(grid.fx, grid.fy, k, motion, p, contrast, band)
 
 
 def _moments_at(
-    fx: FloatArray, fy: FloatArray, k: int, motion: TransferFunction, p: FloatArray, contrast: float
+    fx: FloatArray,
+    fy: FloatArray,
+    k: int,
+    motion: TransferFunction,
+    p: FloatArray,
+    contrast: float,
+    band: BoolArray | None = None,
 ) -> TransferMoments:
-    moved, by_motion = motion(fx, fy, p[3 + k :])
+    """The same on a grid of frequencies, (rows, columns) each, or on those of a `band` of it."""
+    moved, by_motion = (np.asarray(one) for one in motion(fx, fy, p[3 + k :]))
+    used = np.ones(fx.shape, dtype=bool) if band is None else band
+    fx, fy, moved, by_motion = fx[used], fy[used], moved[used], by_motion[:, used]
     f2 = fx**2 + fy**2
     focus = contrast * closed_form.gaussian_transfer(f2, float(p[2]))
-    whole = np.real(moved) * focus
-    slopes, shifts = np.zeros((len(p) + 1, fx.size)), np.zeros((len(p) + 1, fx.size))
+    whole = np.asarray(moved * focus, np.complex128)
+    slopes = np.zeros((len(p) + 1, fx.size), np.complex128)
+    slopes[0], slopes[1] = -2j * np.pi * fx * whole, -2j * np.pi * fy * whole
     slopes[2] = -2 * np.pi**2 * f2 * whole
     if k >= 2:
         slopes[3:5] = -whole / 2  # of −∂(xT)/∂x: its symmetric part
-    slopes[3 + k : -1] = np.real(by_motion) * focus
+    slopes[3 + k : -1] = by_motion * focus
     slopes[-1] = whole / contrast
-    shifts[0], shifts[1] = 2 * np.pi * fx * whole, 2 * np.pi * fy * whole
-    return TransferMoments(whole, slopes, shifts)
+    return TransferMoments(whole, slopes)
+
+
+def _squared(values: ComplexArray) -> FloatArray:
+    result: FloatArray = values.real**2 + values.imag**2
+    return result
+
+
+def _products(rows: ComplexArray, weight: FloatArray | float = 1.0) -> FloatArray:
+    """(m, m) real parts of the products of rows, summed with a weight."""
+    result: FloatArray = np.real((rows * weight) @ np.conj(rows.T))
+    return result
+
+
+def template_share(form: TexturedPatch, light: FloatArray) -> float:
+    """Variance of the template's noise over that of the blurred frame, ρ²/N, by (n, 4) light of planes in use."""
+    depth = float(np.mean(np.abs(light[:, 0] * light[:, 3]))) if len(light) else 0.0
+    return (depth / max(form.spread_dn, 1e-12)) ** 2 / form.frames
 
 
 class TextureEquations:
@@ -173,8 +206,7 @@ class TextureEquations:
         self.light: FloatArray = first.light
         self.root: FloatArray = np.sqrt(first.weight)
         used = first.weight.reshape(len(first.weight), -1).any(axis=1)
-        depth = float(np.mean(np.abs(first.light[used, 0] * first.light[used, 3]))) if used.any() else 0.0
-        self.template_share: float = (depth / max(form.spread_dn, 1e-12)) ** 2 / form.frames
+        self.template_share: float = template_share(form, first.light[used])
         self.pixels: int = int(np.count_nonzero(first.weight)) - 3 * int(np.count_nonzero(used))
         self.model: DarknessModel = fast_forward_model(problem, motion, exact=True)
 
@@ -223,9 +255,9 @@ class TextureEquations:
         image = merge_planes(self.problem.planes, here.jacobian)
         height, width = image.shape[-2:]
         fy, fx = np.broadcast_arrays(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :])
-        own = _moments_at(fx.ravel(), fy.ravel(), self.problem.shape_count, self.motion, p[:-1], float(p[-1]))
+        own = _moments_at(fx, fy, self.problem.shape_count, self.motion, p[:-1], float(p[-1]))
         power, share = here.noise_power, here.template_share
-        white = power * (1 + share * own.transfer**2).reshape(fx.shape)
+        white = power * (1 + share * own.power).reshape(fx.shape)
         residual = merge_planes(self.problem.planes, here.residual)
         spectrum = white * _excess_power(residual, white, self.pixels, fx, fy)
         double = np.where((fx > 0) & (fx < 0.5), 2.0, 1.0) / (height * width)
@@ -234,15 +266,14 @@ class TextureEquations:
         # The derivatives' own noise is in `seen` too; its product with the residual's noise is counted below.
         scale = self.pixels * power * share
         m = here.moments
-        filtered = power * (1 + share * m.transfer**2)
-        linear -= scale * ((m.slopes * filtered) @ m.slopes.T + (m.shifts * filtered) @ m.shifts.T) / len(m.transfer)
+        linear -= scale * _products(m.slopes, power * (1 + share * m.power)) / len(m.transfer)
         kappa = (0.5 * share / here.widening * m.through_slopes)[:, None]
         cross = m.slopes / 2 - kappa * m.transfer
-        template = -m.transfer * m.slopes + kappa * m.transfer**2
+        template = -m.power_slopes + kappa * m.power
         second, mixed, first = power**2, share * power**2, share**2 * power**2
         size = len(m.transfer)
         quadratic = second * (kappa @ kappa.T)
-        quadratic += mixed * (2 * cross @ cross.T + m.shifts @ m.shifts.T / 2) / size
+        quadratic += mixed * 2 * _products(cross) / size
         quadratic += first * (template @ template.T) / size
         result: FloatArray = linear + 2 * self.pixels * quadratic
         return result
@@ -292,7 +323,7 @@ def fit_texture(
         step = free @ (damping * _safe_step(information, raw, gradient))
         step /= max(1.0, float(np.max(np.abs(step[:3]))), float(np.max(np.abs(step[first_motion:-1])) / reach(p)))
         trial = np.append(bound((p + step)[:-1]), np.clip((p + step)[-1], 0.05, 20.0))
-        there = _evaluate(equations, trial)
+        there = evaluate_equations(equations, trial)
         if there is None or total(there, trial) > total(here, p) + 1e-6:
             damping /= 3
             if damping < 1e-3:
@@ -307,12 +338,12 @@ def fit_texture(
     spread = free.T @ (equations.score_covariance(p, here) / unit**2 + precision) @ free
     information = free.T @ (here.information / unit + precision) @ free
     raw = free.T @ (here.raw_information / unit + precision) @ free
-    inverse = _safe_inverse(information, raw)
+    inverse = safe_inverse(information, raw)
     covariance = free @ inverse @ spread @ inverse @ free.T
     return TextureFit(p[:-1], covariance[:-1, :-1], here, total(here, p))
 
 
-def _evaluate(equations: TextureEquations, p: FloatArray) -> CorrectedEquations | None:
+def evaluate_equations(equations: TextureEquations, p: FloatArray) -> CorrectedEquations | None:
     """The equations at p; None where the model overflows, which a step from afar may ask for."""
     try:
         return equations.at(p)
@@ -349,11 +380,11 @@ def _excess_power(residual: FloatArray, white: FloatArray, pixels: int, fx: Floa
 
 def _safe_step(information: FloatArray, raw: FloatArray, gradient: FloatArray) -> FloatArray:
     """Newton step; directions whose derivatives are all noise move as far as the raw normal matrix lets them."""
-    result: FloatArray = _safe_inverse(information, raw) @ gradient
+    result: FloatArray = safe_inverse(information, raw) @ gradient
     return result
 
 
-def _safe_inverse(information: FloatArray, raw: FloatArray) -> FloatArray:
+def safe_inverse(information: FloatArray, raw: FloatArray) -> FloatArray:
     """Inverse of the information with its share of the raw normal matrix kept above a floor."""
     scale = 1 / np.sqrt(np.maximum(np.diag(raw), 1e-300))
     metric = raw * np.outer(scale, scale)

@@ -44,6 +44,8 @@ class FrameSet:
         All frames' pixels.
     ambient_held
         Whether the stated ambient light is taken for exact.
+    moment_px2
+        (2, 2) aaᵀ + bbᵀ as a model of whole cycles reads it, where that is known; None takes it from the smears.
     """
 
     sharp: SharpTarget
@@ -52,6 +54,7 @@ class FrameSet:
     blurs: list[Defocus]
     planes: ColourPlanes
     ambient_held: bool = False
+    moment_px2: FloatArray | None = None
 
     @classmethod
     def from_problems(

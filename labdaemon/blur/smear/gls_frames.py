@@ -15,8 +15,10 @@ import numpy as np
 from labdaemon.blur.patch.illumination import render_illumination
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import GLS, PHASE, SOLVER
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
 from labdaemon.blur.smear.gls import FramePart, FrameWeights, TextureMotion, frame_equations, refined_solution
+from labdaemon.blur.smear.texture_frames import refine_texture_frames
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.least_squares import scaled_inverse
 
@@ -30,7 +32,8 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
 
     Where the phase hardly shows the model is curved, and steps are repeated. A single frame under constant light hardly
     shows it near its turning points: the model has no slope there, and a step has no bound. The phase is then held, and
-    its variance is 0; `marginalise_phase` and `condition_on_phase` account for all phases.
+    its variance is 0; `marginalise_phase` and `condition_on_phase` account for all phases. A textured patch is refined
+    by `refine_texture_frames` instead.
 
     Parameters
     ----------
@@ -42,6 +45,11 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
         The kind of motion that was fitted.
     """
     sharp = frame_set.sharp
+    if isinstance(sharp.form, TexturedPatch):
+        held_along = np.zeros(len(solution.p))
+        if not _shows_phase(frame_set, solution):
+            held_along = _phase_direction(solution.p, frame_set.first_motion)
+        return refine_texture_frames(frame_set, sharp.form, solution, transfer_factory, held_along)
     if not sharp.noise_known or solution.chi2 > GLS.max_chi2:
         return solution
     unrefined = solution

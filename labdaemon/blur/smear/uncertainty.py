@@ -24,7 +24,8 @@ the change of scale with depth (`SharpTarget.with_scale_uncertainty`). Then, in 
 
 8. *Noise of a textured patch's sharp frame* is in the image's derivatives as well as in the residuals. For whole cycles
    `smear.errors_in_variables` replaces steps 1 and 2: the noise's share is subtracted from the information, and the
-   products of both noises are added to the variance of the score. Along a direction without texture the sd is half the
+   products of both noises are added to the variance of the score; through windows and under coded light
+   `smear.texture_frames` does the same. Along a direction without texture the sd is half the
    box (flag `undetermined`).
 
 9. *The extra blur's anisotropy*: without control targets nothing shows whether a frame lost more sharpness along the
@@ -69,6 +70,8 @@ def robust_covariance(sharp: SharpTarget, solution: Solution, planes: ColourPlan
     the residuals, averaged in bands of spatial frequency, is propagated through the fit's influence function: the
     sandwich covariance of White (1980), for noise that is stationary instead of independent.
     """
+    if solution.template_noise:
+        return solution.covariance
     if sharp.noise_known and (
         solution.chi2 < UNCERTAINTY.white_chi2 or (solution.correlated_noise and solution.chi2 < UNCERTAINTY.poor_chi2)
     ):

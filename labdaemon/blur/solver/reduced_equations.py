@@ -55,6 +55,8 @@ class Solution:
         (n, k + 4, h·w) derivatives by the parameters and the light, over the pixels' standard deviations.
     correlated_noise
         Whether the covariance already accounts for noise that neighbours share.
+    template_noise
+        Whether it already accounts for the residuals and for the noise of a textured patch's sharp frame.
     """
 
     p: FloatArray
@@ -70,6 +72,7 @@ class Solution:
     light_jacobian: FloatArray
     whitened_jacobian: FloatArray
     correlated_noise: bool = False
+    template_noise: bool = False
 
     @property
     def influence(self) -> FloatArray:

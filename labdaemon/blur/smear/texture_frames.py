@@ -1,0 +1,173 @@
+"""Textured patches through windows and under coded light: the noise of their sharp frame accounted for.
+
+Least squares reads the noise of the sharp frame as motion (`errors_in_variables`). From its solution the corrected
+equations of each frame, which add over frames, lead to the unbiased one in a few steps. The motion is by its vectors,
+of which the image has no slope at rest: whether anything moves is asked before, by the second moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
+from labdaemon.blur.smear.errors_in_variables import (
+    CorrectedEquations,
+    TextureEquations,
+    evaluate_equations,
+    safe_inverse,
+    template_share,
+    transfer_moments,
+)
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
+from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.texture_settings import TEXTURE
+
+HELD_SD = 1e-5
+"""Standard deviation of a direction that is held. Numerics."""
+
+
+def correct_cost(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
+    """A textured patch's solution with its cost over the variance that the sharp frame's noise adds; a dot's as it is.
+
+    The residuals hold the noise of the sharp frame as far as the blur lets it through. Without this the phases of more
+    blur would seem more likely.
+    """
+    form, first = frame_set.sharp.form, frame_set.first_motion
+    length = float(np.linalg.norm(solution.p[first:]))
+    if not isinstance(form, TexturedPatch) or not length <= float(np.hypot(*frame_set.problems[0].grid.size)):
+        return solution
+    nuisance, widening = FRAME_PARAMETERS * len(frame_set.problems), 0.0
+    for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
+        p = np.concatenate((solution.p[FRAME_PARAMETERS * index :][:FRAME_PARAMETERS], solution.p[nuisance:]))
+        motion = frame_set.transfer(window, transfer_factory, 3.0 + 1.3 * length)
+        through = transfer_moments(problem, form, motion, p, 1.0).through
+        rows = frame_set.rows(index)
+        share = template_share(form, solution.light[rows][solution.weight[rows].any(axis=(1, 2))])
+        widening += (1 + share * through) / len(frame_set.problems)
+    return replace(solution, cost=solution.cost / widening)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FramePart:
+    """One frame's equations, and the places of its parameters and its contrast among all."""
+
+    equations: TextureEquations
+    places: list[int]
+    noise_power: float
+
+
+def refine_texture_frames(
+    frame_set: FrameSet,
+    form: TexturedPatch,
+    solution: Solution,
+    transfer_factory: TransferFactory,
+    held_along: FloatArray,
+) -> Solution:
+    """The solution of the corrected equations near one of least squares; that one where none is near.
+
+    Parameters
+    ----------
+    frame_set, form
+        The target in its frames, and its sharp patch.
+    solution
+        A converged fit by least squares.
+    transfer_factory
+        The kind of motion that was fitted.
+    held_along
+        (k,) direction of the parameters that is held, a phase that hardly shows; 0 where all are free.
+    """
+    first, count = frame_set.first_motion, len(solution.p)
+    length = float(np.linalg.norm(solution.p[first:]))
+    if not length <= float(np.hypot(*frame_set.problems[0].grid.size)):
+        return solution  # a step without bound, where the phase hardly shows
+    reach = 3.0 + 1.3 * length
+    parts = _frame_parts(frame_set, form, solution, transfer_factory, reach)
+    prior = frame_set.prior(count - first)
+    p = np.concatenate((solution.p, np.ones(len(parts))))
+    precision = np.zeros((len(p), len(p)))
+    precision[:count, :count] = prior.precision
+    mean = np.concatenate((prior.mean, np.ones(len(parts))))
+    stiff = precision.copy()
+    stiff[:count, :count] += np.outer(held_along, held_along) / HELD_SD**2
+
+    def total(states: Sequence[CorrectedEquations], at: FloatArray) -> float:
+        squares = sum(one.cost / part.noise_power for one, part in zip(states, parts, strict=True))
+        return float(squares + (at - mean) @ precision @ (at - mean))
+
+    here = _evaluate_all(parts, p)
+    if here is None:
+        return solution
+    damping = 1.0
+    for _ in range(TEXTURE.frame_iterations):
+        score, information, raw = _sum_equations(parts, here, len(p))
+        gradient = score + precision @ (mean - p)
+        step = damping * safe_inverse(information + stiff, raw + stiff) @ gradient
+        step /= max(1.0, float(np.max(np.abs(step[first:count]))))
+        trial = p + step
+        there = _evaluate_all(parts, trial)
+        if there is None or total(there, trial) > total(here, p) + 1e-6:
+            damping /= 3
+            if damping < 1e-2:
+                break
+            continue
+        p, here = trial, there
+        if float(step @ (raw + precision) @ step) < TEXTURE.last_step_sd**2 and damping > 0.3:
+            break
+        damping = min(1.0, damping * 3)
+    if not np.linalg.norm(p[first:count]) <= reach:
+        return solution
+    _, information, raw = _sum_equations(parts, here, len(p))
+    inverse = safe_inverse(information + stiff, raw + stiff)
+    spread = precision.copy()
+    for part, state in zip(parts, here, strict=True):
+        unit = state.widening * max(state.noise_power, 1e-12)
+        own = part.equations.score_covariance(p[part.places], state)
+        spread[np.ix_(part.places, part.places)] += own / unit**2
+    covariance = inverse @ spread @ inverse
+    light = solution.light.copy()
+    for index in range(len(parts)):
+        light[frame_set.rows(index), 3] *= p[count + index]
+    return replace(solution, p=p[:count], covariance=covariance[:count, :count], light=light, template_noise=True)
+
+
+def _frame_parts(
+    frame_set: FrameSet, form: TexturedPatch, solution: Solution, transfer_factory: TransferFactory, reach_px: float
+) -> list[_FramePart]:
+    nuisance, parts = FRAME_PARAMETERS * len(frame_set.problems), []
+    for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
+        rows = frame_set.rows(index)
+        alone = replace(problem, planes=frame_set.planes_of(index))
+        own = replace(solution, light=solution.light[rows], weight=solution.weight[rows])
+        motion = frame_set.transfer(window, transfer_factory, reach_px)
+        places = [
+            *range(FRAME_PARAMETERS * index, FRAME_PARAMETERS * (index + 1)),
+            *range(nuisance, len(solution.p)),
+            len(solution.p) + index,
+        ]
+        equations = TextureEquations(alone, form, own, motion)
+        begun = equations.at(np.append(solution.p[places[:-1]], 1.0))
+        parts.append(_FramePart(equations, places, max(begun.noise_power, 1e-12)))
+    return parts
+
+
+def _evaluate_all(parts: Sequence[_FramePart], p: FloatArray) -> list[CorrectedEquations] | None:
+    """All frames' equations; None where a model overflows."""
+    states = [evaluate_equations(part.equations, p[part.places]) for part in parts]
+    return None if any(one is None for one in states) else [one for one in states if one is not None]
+
+
+def _sum_equations(
+    parts: Sequence[_FramePart], states: Sequence[CorrectedEquations], size: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Score, information and raw normal matrix of all parameters, over the noise's power."""
+    score, information, raw = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
+    for part, state in zip(parts, states, strict=True):
+        unit, block = state.widening * part.noise_power, np.ix_(part.places, part.places)
+        score[part.places] += state.score / unit
+        information[block] += state.information / unit
+        raw[block] += state.raw_information / unit
+    return score, information, raw
