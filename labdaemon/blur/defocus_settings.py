@@ -18,7 +18,9 @@ class DefocusSettings:
     min_scatter_px2: float = 0.005
     """Smallest scatter of the moving targets' own values: fewer digits are never known. Trial."""
     anisotropy_fraction: float = 0.15
-    """Standard deviation of the extra blur's anisotropy, in parts of its bound. Trial, on real frames."""
+    """Standard deviation of the extra blur's anisotropy, in parts of its bound. Trial, on real frames. On drawn dots of
+    1.2 and 1.8 px an rms difference of 15 % between the blur along and across gives pulls of 0.8 to 0.9, 30 % 1.8 to
+    2.3."""
     sharpness_frequency: float = 0.15
     """Spatial frequency, cycles per pixel, at which lens blurs are compared: where a dot's edge shows."""
 

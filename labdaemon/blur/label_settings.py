@@ -39,9 +39,9 @@ class LabelEdgeSettings:
     """Clear pixels that a trial needs to be compared."""
     max_contrast_change: float = 0.35
     """Largest relative difference of the ink's contrast from the sharp frame's, for a rough path. Trial."""
-    least_explained: float = 0.65
-    """Part of the variance that the best trial explains where the target is there at all. Trial: 0.76 to 1.0 of labels,
-    0.4 to 0.5 of a card with spots."""
+    least_explained: float = 0.75
+    """Part of the variance that the best trial explains where the target is there at all. Trial: 0.89 to 1.0 of labels,
+    0.4 to 0.7 of a card with spots."""
     max_sd_px: float = 0.1
     """Standard deviation of the amplitude above which what is left does not determine it. Trial."""
     max_sd_fraction: float = 0.005
