@@ -91,8 +91,7 @@ class DotBench:
         return self._photograph(amplitude_mm, paper, motion)
 
     def _photograph(self, amplitude_mm: float, paper: int, motion: object, beyond: int = 0) -> Patch:
-        half = int(np.ceil((RADIUS_MM + 1.15 * amplitude_mm) * PX_PER_MM)) + MARGIN_PX
-        half += beyond
+        half = int(np.ceil((RADIUS_MM + 1.15 * amplitude_mm) * PX_PER_MM)) + MARGIN_PX + beyond
         # The paper moves with the dot: its edges stay out of the patch. Sheets of another size have another texture.
         sheet = 2 * RADIUS_MM + 8 * amplitude_mm + (2 * MARGIN_PX + 70) / PX_PER_MM
         target = {"name": "T", "centre_mm": (0.0, 0.0, 0.0), "diameter_mm": 2 * RADIUS_MM, "paper_mm": (sheet, sheet)}

@@ -93,6 +93,7 @@ def run_signed(
     seeds: Sequence[int],
     *,
     quick: bool = False,
+    only: frozenset[str] | None = None,
     workers: int = 0,
     report: Callable[[str], None] = lambda _: None,
 ) -> list[SignedResult]:
@@ -104,6 +105,8 @@ def run_signed(
         Of the simulator; each renders the whole programme anew.
     quick
         One capture a case, and fewer targets.
+    only
+        Keys of the cases to run; None for all.
     workers
         Processes, 0 for one a core.
     report
@@ -115,7 +118,7 @@ def run_signed(
         No simulator is installed.
     """
     folder_maker()
-    results = [SignedResult(case, []) for case in signed_cases(quick)]
+    results = [SignedResult(case, []) for case in signed_cases(quick) if only is None or case.key in only]
     with WorkerPool(workers, deadline_s=TASK_LIMIT_S) as pool, tempfile.TemporaryDirectory() as root:
         tasks = [
             (seed, result, pool.submit(compare_case, result.case, seed, Path(root) / f"{result.case.key}-{seed}"))

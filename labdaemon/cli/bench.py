@@ -79,7 +79,7 @@ def accuracy(
 ) -> None:
     """The published method and ours on the same rendered frames, compared with the Cramér–Rao bound."""
     if section == "light":
-        _print_signed(tuple(seeds), quick, workers, as_json)
+        _print_signed(tuple(seeds), quick, workers, as_json, only)
         return
     from labdaemon.bench.accuracy import run_accuracy
     from labdaemon.bench.accuracy_text import document, lines
@@ -119,12 +119,20 @@ def accuracy(
         click.echo(f"figure: {file}", err=True)
 
 
-def _print_signed(seeds: tuple[int, ...], quick: bool, workers: int, as_json: bool) -> None:
+def _print_signed(seeds: tuple[int, ...], quick: bool, workers: int, as_json: bool, only: tuple[str, ...] = ()) -> None:
     """Run the signed motions and print them."""
     from labdaemon.bench.signed import run_signed
+    from labdaemon.bench.signed_cases import signed_cases
     from labdaemon.bench.signed_text import signed_document, signed_lines
 
-    results = run_signed(seeds, quick=quick, workers=workers, report=lambda text: click.echo(text, err=True))
+    unknown = set(only) - {case.key for case in signed_cases(quick)}
+    if unknown:
+        known = ", ".join(case.key for case in signed_cases(quick))
+        raise click.UsageError(f"no case {', '.join(sorted(unknown))}; there are: {known}")
+    chosen = frozenset(only) or None
+    results = run_signed(
+        seeds, quick=quick, only=chosen, workers=workers, report=lambda text: click.echo(text, err=True)
+    )
     if as_json:
         click.echo(json.dumps(signed_document(results)))
         return
