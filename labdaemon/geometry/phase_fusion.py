@@ -3,6 +3,9 @@
 Near rest a camera measures a target's amplitude to a few per cent and its phase to half a turn. The signed vectors of
 two such cameras may point anywhere on their circles, and their mean would be too short. The axis is therefore
 intersected without phase, and the phases, each a von Mises distribution, are multiplied.
+
+The motion is in phase but for a minor axis of some ratio (`orbit_prior`). A camera that looks along the path sees little
+of it and all of the minor axis, a quarter of a cycle later: its phase is that much less certain.
 """
 
 from __future__ import annotations
@@ -19,7 +22,12 @@ from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.settings import INTERSECTION
 
 
-def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion) -> ObjectMotion:
+def fuse_phases(
+    cameras: Sequence[OrientedCamera],
+    motions: Sequence[ImageMotion],
+    axis: ObjectMotion,
+    in_phase_ratio: float = INTERSECTION.in_phase_ratio,
+) -> ObjectMotion:
     """Give an axis in space the phase that its images have.
 
     Parameters
@@ -28,18 +36,15 @@ def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion
         One of each a camera; signed vectors, whose covariance holds the phase's uncertainty.
     axis
         Straight motion joined without phase.
+    in_phase_ratio
+        Standard deviation of the ratio of a motion's axes.
 
     Returns
     -------
     ObjectMotion
         Signed vectors; their covariance is that of all phases weighted by their probability.
     """
-    total = 0.0 + 0.0j
-    for camera, motion in zip(cameras, motions, strict=True):
-        along = camera.project_with_jacobians(axis.mean_mm[None])[1][0] @ axis.a_mm
-        size = float(np.linalg.norm(along))
-        if size > 0:
-            total += _camera_phasor(motion, along / size)
+    total = sum(_phasors(cameras, motions, axis, in_phase_ratio), start=0.0 + 0.0j)
     phase, resultant, second = float(np.angle(total)), *_circular_moments(abs(total))
     radial, tangent = np.array([np.cos(phase), np.sin(phase)]), np.array([-np.sin(phase), np.cos(phase)])
     outward, sideways = 1 - 2 * resultant + (1 + second) / 2, (1 - second) / 2
@@ -49,7 +54,8 @@ def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion
     covariance[:3, :3] = axis.covariance_mm2[:3, :3]
     covariance[:3, 3:] = np.kron(radial, axis.covariance_mm2[:3, 3:6])
     covariance[3:, :3] = covariance[:3, 3:].T
-    minor_covariance = np.kron(np.outer(tangent, tangent), axis.covariance_mm2[6:, 6:])
+    across = in_phase_ratio**2 * (float(axis.a_mm @ axis.a_mm) * np.eye(3) - np.outer(axis.a_mm, axis.a_mm))
+    minor_covariance = np.kron(np.outer(tangent, tangent), axis.covariance_mm2[6:, 6:] + across)
     covariance[3:, 3:] = (
         np.kron(spread, np.outer(axis.a_mm, axis.a_mm))
         + np.kron(mean, axis.covariance_mm2[3:6, 3:6])
@@ -58,15 +64,33 @@ def fuse_phases(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion
     return replace(axis, a_mm=radial[0] * axis.a_mm, b_mm=radial[1] * axis.a_mm, covariance_mm2=covariance)
 
 
-def phase_cost(cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion) -> float:
+def phase_cost(
+    cameras: Sequence[OrientedCamera],
+    motions: Sequence[ImageMotion],
+    axis: ObjectMotion,
+    in_phase_ratio: float = INTERSECTION.in_phase_ratio,
+) -> float:
     """How far the images' phases along an axis contradict each other, as a sum of squares."""
-    phasors = []
+    phasors = _phasors(cameras, motions, axis, in_phase_ratio)
+    return 2 * (sum(abs(one) for one in phasors) - abs(sum(phasors)))
+
+
+def _phasors(
+    cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion, in_phase_ratio: float
+) -> list[complex]:
+    """Concentration and phase that each camera gives; a camera that looks along the axis gives none."""
+    length = float(np.linalg.norm(axis.a_mm))
+    found = []
     for camera, motion in zip(cameras, motions, strict=True):
-        along = camera.project_with_jacobians(axis.mean_mm[None])[1][0] @ axis.a_mm
+        jacobian = camera.project_with_jacobians(axis.mean_mm[None])[1][0]
+        along = jacobian @ axis.a_mm
         size = float(np.linalg.norm(along))
         if size > 0:
-            phasors.append(_camera_phasor(motion, along / size))
-    return 2 * (sum(abs(one) for one in phasors) - abs(sum(phasors)))
+            # What of a minor axis shows along the path's image, for all directions across the path together.
+            shown = along @ jacobian / size
+            across = float(shown @ shown) * length**2 - size**2
+            found.append(_camera_phasor(motion, along / size, in_phase_ratio**2 * max(across, 0.0)))
+    return found
 
 
 def evidence_from_phases(motions: Sequence[ImageMotion], axes: Sequence[ImageMotion]) -> list[float]:
@@ -89,7 +113,7 @@ def _log_i0(kappa: float) -> float:
     return float(np.log(ive(0, kappa))) + kappa
 
 
-def _camera_phasor(motion: ImageMotion, along: FloatArray) -> complex:
+def _camera_phasor(motion: ImageMotion, along: FloatArray, minor_variance_px2: float = 0.0) -> complex:
     """Concentration and phase that one camera gives, as a complex number."""
     phasor = complex(motion.a_px @ along, motion.b_px @ along)
     size = abs(phasor)
@@ -98,7 +122,7 @@ def _camera_phasor(motion: ImageMotion, along: FloatArray) -> complex:
     variance = sum(
         float(e @ block @ e) for e in (np.concatenate((along, 0 * along)), np.concatenate((0 * along, along)))
     )
-    resultant = 1 - variance / (2 * max(size, 1e-12) ** 2)
+    resultant = 1 - (variance + minor_variance_px2) / (2 * max(size, 1e-12) ** 2)
     return _concentration(resultant) * phasor / max(size, 1e-12)
 
 

@@ -88,7 +88,12 @@ class IntersectionSettings:
     phase_apart_rad: float = 0.35
     """Angle between two signed motions from which they are two. Trial: nearer ones are in the covariance."""
     in_phase_ratio: float = 0.02
-    """Ratio of the axes up to which a structure's motion counts as in phase. Trial: damping of a few per cent."""
+    """Ratio of the axes up to which a structure's motion counts as in phase, before its capture is known. Trial:
+    damping of a few per cent."""
+    in_phase_factors: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    """Factors of that ratio of which a capture's own targets choose one. Numerics."""
+    in_phase_log_cost: float = 1.0
+    """Power of the factor by which a larger ratio is less probable beforehand. Trial."""
     in_phase_steps: int = 8
     """Most steps to a motion in phase. Numerics: three do where the cameras know the phase."""
     in_phase_step_mm: float = 1e-5

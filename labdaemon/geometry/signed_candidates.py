@@ -25,7 +25,7 @@ from labdaemon.errors import DataError
 from labdaemon.geometry.motion import FloatArray, ImageMotion
 from labdaemon.geometry.motion_adjustment import Candidate
 from labdaemon.geometry.motion_candidates import phased_candidate
-from labdaemon.geometry.orbit_prior import AxisRatio
+from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, AxisRatio, OrbitPrior
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.settings import INTERSECTION
 
@@ -50,7 +50,7 @@ def signed_candidates(
     cameras: Sequence[OrientedCamera],
     exterior: FloatArray,
     motions: Sequence[ImageMotion],
-    orbit_share: float = INTERSECTION.orbit_share,
+    prior: OrbitPrior = UNKNOWN_CAPTURE,
 ) -> list[SignedCandidate]:
     """Solutions of signed vectors for all combinations of the images' alternatives, the best first.
 
@@ -58,8 +58,8 @@ def signed_candidates(
     ----------
     cameras, exterior, motions
         As for `phased_candidate`.
-    orbit_share
-        Share of orbits among motions, beforehand.
+    prior
+        Of motions in phase and orbits.
 
     Returns
     -------
@@ -77,38 +77,38 @@ def signed_candidates(
     ]
     combinations = sorted(product(*choices), key=lambda chosen: sum(one.excess for one in chosen))
     if len(combinations) == 1:
-        return [with_phase_prior(phased_candidate(cameras, exterior, motions), orbit_share)]
+        return [with_phase_prior(phased_candidate(cameras, exterior, motions), prior)]
     found: list[SignedCandidate] = []
     for chosen in combinations[: INTERSECTION.max_combinations]:
         try:
-            candidate = with_phase_prior(phased_candidate(cameras, exterior, chosen), orbit_share)
+            candidate = with_phase_prior(phased_candidate(cameras, exterior, chosen), prior)
         except DataError:
             continue
         excess = sum(one.excess for one in chosen)
         ratio = candidate.axis_ratio
-        penalty = excess + (0.0 if ratio is None else ratio.penalty(orbit_share))
+        penalty = excess + (0.0 if ratio is None else ratio.penalty(prior))
         found.append(replace(candidate, sign_penalty=penalty, image_excess=excess))
     if not found:
-        return [with_phase_prior(phased_candidate(cameras, exterior, motions), orbit_share)]
+        return [with_phase_prior(phased_candidate(cameras, exterior, motions), prior)]
     return sorted(found, key=lambda candidate: candidate.total_cost)
 
 
-def with_phase_prior(candidate: Candidate, orbit_share: float = INTERSECTION.orbit_share) -> SignedCandidate:
+def with_phase_prior(candidate: Candidate, prior: OrbitPrior = UNKNOWN_CAPTURE) -> SignedCandidate:
     """A candidate, its minor axis known as well as the prior says: the mean over motions in phase and orbits.
 
     Parameters
     ----------
     candidate
         Signed vectors as the rays alone have them.
-    orbit_share
-        Share of orbits among motions, beforehand.
+    prior
+        Of motions in phase and orbits.
     """
     free, covariance = candidate.motion_mm.ravel(), candidate.covariance_mm2
     ratio = AxisRatio.of_motion(candidate.motion_mm, covariance)
-    share = 0.0 if ratio is None else ratio.straight_probability(orbit_share)
+    share = 0.0 if ratio is None else ratio.straight_probability(prior)
     mean, total = free, covariance
     if share > 0:
-        held, held_covariance = _in_phase(free, covariance)
+        held, held_covariance = _in_phase(free, covariance, prior.in_phase_ratio)
         away = held - free
         mean = free + share * away
         total = share * held_covariance + (1 - share) * covariance + share * (1 - share) * np.outer(away, away)
@@ -117,7 +117,7 @@ def with_phase_prior(candidate: Candidate, orbit_share: float = INTERSECTION.orb
     )
 
 
-def _in_phase(free: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _in_phase(free: FloatArray, covariance: FloatArray, in_phase_ratio: float) -> tuple[FloatArray, FloatArray]:
     """Mean position, a and b (9,) with the prior of motions in phase on the minor axis, and their covariance (9, 9).
 
     The minor axis b cos ψ − a sin ψ, with ψ the phase of the major one, has two components across the path; each is
@@ -132,7 +132,7 @@ def _in_phase(free: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Flo
         across = np.linalg.svd(path[None] / max(size, 1e-12))[2][1:]
         rows = np.zeros((2, 9))
         rows[:, 3:6], rows[:, 6:] = -np.sin(phase) * across, np.cos(phase) * across
-        variance = (INTERSECTION.in_phase_ratio * size) ** 2
+        variance = (in_phase_ratio * size) ** 2
         gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T + variance * np.eye(2))
         before, value = value, free - gain @ (rows @ free)
         held = covariance - gain @ rows @ covariance

@@ -14,7 +14,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry.motion import FloatArray, ImageMotion, IntersectedMotion, ObjectMotion
 from labdaemon.geometry.motion_adjustment import Candidate
 from labdaemon.geometry.motion_candidates import orbit_candidates, straight_candidates
-from labdaemon.geometry.orbit_prior import estimate_orbit_share
+from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, OrbitPrior, estimate_orbit_prior
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases, phase_cost
 from labdaemon.geometry.resolution import resolve_ambiguous_targets
@@ -29,7 +29,7 @@ def intersect_motion(
     *,
     covariance: FloatArray | None = None,
     evidence: Sequence[float] | None = None,
-    orbit_share: float = INTERSECTION.orbit_share,
+    orbit_prior: OrbitPrior = UNKNOWN_CAPTURE,
 ) -> IntersectedMotion:
     """Motion in space of one target seen by several cameras.
 
@@ -45,8 +45,8 @@ def intersect_motion(
         cameras independent of each other.
     evidence
         What each camera knows of the sign of its a, see `straight_candidates`.
-    orbit_share
-        Share of orbits among signed motions, beforehand.
+    orbit_prior
+        Of motions in phase and orbits.
 
     Returns
     -------
@@ -71,9 +71,9 @@ def intersect_motion(
     phased = all(motion.phased for motion in motions)
     phase_unresolved = phased and any(motion.axes is not None for motion in motions)
     if phased and not phase_unresolved:
-        return _signed_motion(signed_candidates(cameras, exterior, motions, orbit_share))
+        return _signed_motion(signed_candidates(cameras, exterior, motions, orbit_prior))
     if phase_unresolved:
-        return _fuse_alternatives(cameras, exterior, motions)
+        return _fuse_alternatives(cameras, exterior, motions, orbit_prior.in_phase_ratio)
     motions = [_principal_motion(motion) for motion in motions]
     candidates, straight = _unphased_candidates(cameras, exterior, motions, known)
     best, others = candidates[0], candidates[1:]
@@ -127,7 +127,7 @@ def _image_difference(best: SignedCandidate, other: SignedCandidate, scale: floa
 
 
 def _fuse_alternatives(
-    cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion]
+    cameras: Sequence[OrientedCamera], exterior: FloatArray, motions: Sequence[ImageMotion], in_phase_ratio: float
 ) -> IntersectedMotion:
     """Signed motion where a camera hardly shows the phase: by the other cameras' candidates that it excludes least."""
     found: list[tuple[float, IntersectedMotion]] = []
@@ -140,8 +140,12 @@ def _fuse_alternatives(
             if found:
                 continue
             raise
-        signed = replace(unphased, motion=fuse_phases(cameras, chosen, unphased.motion), alternative=None)
-        found.append((sum(one.excess for one in chosen) + phase_cost(cameras, chosen, unphased.motion), signed))
+        signed = replace(
+            unphased, motion=fuse_phases(cameras, chosen, unphased.motion, in_phase_ratio), alternative=None
+        )
+        found.append(
+            (sum(one.excess for one in chosen) + phase_cost(cameras, chosen, unphased.motion, in_phase_ratio), signed)
+        )
     found.sort(key=lambda one: one[0])
     cost, best = found[0]
     if any(other - cost < INTERSECTION.twin_cost_gap for other, _ in found[1:]):
@@ -260,7 +264,7 @@ def intersect_targets(
     refused: dict[str, str] = {}
     nothing = np.full(3, np.nan)
 
-    def intersect_all(targets: Iterable[str], orbit_share: float) -> dict[str, IntersectedMotion]:
+    def intersect_all(targets: Iterable[str], orbit_prior: OrbitPrior) -> dict[str, IntersectedMotion]:
         found = {}
         for target in targets:
             images = motions[target]
@@ -272,17 +276,17 @@ def intersect_targets(
                     [images[camera_names[i]] for i in present],
                     covariance=None if covariance is None else covariance[np.ix_(rows, rows)],
                     evidence=[known.get(target, {}).get(camera_names[i], 0.0) for i in present],
-                    orbit_share=orbit_share,
+                    orbit_prior=orbit_prior,
                 )
             except DataError as exc:
                 refused[target] = str(exc)
         return found
 
-    joined = intersect_all(motions, INTERSECTION.orbit_share)
+    joined = intersect_all(motions, UNKNOWN_CAPTURE)
     ratios = [one.axis_ratio for one in joined.values() if one.axis_ratio is not None]
     if ratios:
         signed = [target for target, one in joined.items() if one.signed]
-        joined |= intersect_all(signed, estimate_orbit_share(ratios))
+        joined |= intersect_all(signed, estimate_orbit_prior(ratios))
     joined = resolve_ambiguous_targets(joined, members)
     result = {
         target: joined[target].motion

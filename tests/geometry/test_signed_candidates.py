@@ -12,7 +12,7 @@ from labdaemon.geometry import ImageMotion, ObjectMotion, intersect_motion, inte
 from labdaemon.geometry.common_phase import compare_phases, phase_of
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion_candidates import phased_candidate
-from labdaemon.geometry.orbit_prior import AxisRatio, estimate_orbit_share
+from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, AxisRatio, OrbitPrior, estimate_orbit_prior
 from labdaemon.geometry.settings import INTERSECTION
 from labdaemon.geometry.signed_candidates import signed_candidates, with_phase_prior
 
@@ -100,7 +100,7 @@ def test_the_prior_prefers_lines_and_does_not_forbid_orbits(look) -> None:
         seen = [image(one, a, b, twin_rad=2.0, excess=50.0) for one in cameras]
         found = with_phase_prior(phased_candidate(cameras, exterior, seen)).axis_ratio
         assert found is not None
-        penalties.append(found.penalty(INTERSECTION.orbit_share))
+        penalties.append(found.penalty(UNKNOWN_CAPTURE))
     assert penalties[0] < 0.5
     assert np.all(np.diff(penalties) > -1e-6)
     assert 5.0 < penalties[-1] < 12.0
@@ -109,11 +109,21 @@ def test_the_prior_prefers_lines_and_does_not_forbid_orbits(look) -> None:
 def test_targets_that_need_no_prior_say_how_many_orbits_there_are() -> None:
     lines = [AxisRatio(0.01 * (index % 4), 0.03) for index in range(30)]
     orbits = [AxisRatio(ratio, 0.03) for ratio in np.linspace(0.2, 0.9, 30)]
-    assert estimate_orbit_share([]) == pytest.approx(INTERSECTION.orbit_share)
-    assert estimate_orbit_share(lines) < 0.06
-    assert 0.4 < estimate_orbit_share([*lines, *orbits]) < 0.6
-    assert lines[0].penalty(0.03) == pytest.approx(0.0, abs=1e-9)
-    assert orbits[0].penalty(0.03) > orbits[0].penalty(0.2) + 3.0
+    assert estimate_orbit_prior([]) == UNKNOWN_CAPTURE
+    assert estimate_orbit_prior(lines).orbit_share < 0.06
+    assert estimate_orbit_prior(lines).in_phase_ratio == INTERSECTION.in_phase_ratio
+    assert 0.4 < estimate_orbit_prior([*lines, *orbits]).orbit_share < 0.6
+    few = OrbitPrior(0.03)
+    assert lines[0].penalty(few) == pytest.approx(0.0, abs=1e-9)
+    assert orbits[0].penalty(few) > orbits[0].penalty(OrbitPrior(0.2)) + 3.0
+
+
+def test_targets_that_all_move_on_thin_orbits_widen_what_counts_as_in_phase() -> None:
+    """Between two modes of different direction: lines of no width pulled the others' phases by several sd."""
+    ratios = np.abs(np.random.default_rng(4).normal(0.0, 0.1, 12))
+    found = estimate_orbit_prior([AxisRatio(float(ratio), 0.02) for ratio in ratios])
+    assert 0.05 < found.in_phase_ratio < 0.2
+    assert found.orbit_share < 0.25
 
 
 def test_level_motion_on_lines_leaves_no_twin_open(look) -> None:
