@@ -4,8 +4,8 @@ Near rest a camera measures a target's amplitude to a few per cent and its phase
 two such cameras may point anywhere on their circles, and their mean would be too short. The axis is therefore
 intersected without phase, and the phases, each a von Mises distribution, are multiplied.
 
-The motion is in phase but for a minor axis of some ratio (`orbit_prior`). A camera that looks along the path sees little
-of it and all of the minor axis, a quarter of a cycle later: its phase is that much less certain.
+The motion is in phase but for a minor axis of some ratio (`orbit_prior`). A camera that looks along the path sees
+little of it and all of the minor axis, a quarter of a cycle later: its phase is that much less certain.
 """
 
 from __future__ import annotations
