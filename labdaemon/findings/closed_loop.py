@@ -9,7 +9,8 @@ the search begins anew, with one more step in the widest gap.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -25,8 +26,6 @@ from labdaemon.findings.signed_steps import with_signed_steps, without_signs
 
 CLOSED_RATIO = 1.004
 """Ratio of neighbouring steps below which no mode hides between them."""
-INFORMATIVE = "here a step gives most information"
-"""Why a step is taken once the model explains all steps."""
 FIRST_RATIO = 1.10
 """Ratio of neighbouring frequencies of the first sweep."""
 
@@ -110,21 +109,6 @@ def decide(
     pending
         Frequency (Hz) and table amplitude (mm) of each step that is captured and not measured yet.
     """
-    decision = _decide(series, known, goal, sd_mm=sd_mm, sd_table=sd_table, table_mm=table_mm, pending=pending)
-    is_provisional = bool(pending) and decision.reason != INFORMATIVE
-    return replace(decision, is_provisional=is_provisional)
-
-
-def _decide(
-    series: ResponseSeries,
-    known: ModalFit | None,
-    goal: ResonanceGoal,
-    *,
-    sd_mm: float,
-    sd_table: float,
-    table_mm: float | Callable[[ModalFit, FloatArray], FloatArray],
-    pending: Sequence[tuple[float, float]],
-) -> SweepDecision:
     level = SIGNIFICANCE / goal.most_steps  # the question is asked after each step
     amplitudes = without_signs(series)  # poles are searched and continued by amplitudes
     fitted = _continue(amplitudes, known, goal)
@@ -133,14 +117,15 @@ def _decide(
     if fitted is not None and fitted.modes and series.signed_steps().any():
         # Complex residues show in phases alone; taken for real they leave amplitudes unexplained.
         fitted, _ = with_signed_steps(fitted, series)
+    provisional = partial(SweepDecision, fit=fitted, is_provisional=bool(pending))
     if series.steps + len(pending) >= goal.most_steps:
-        return SweepDecision(None, fitted, f"{series.steps + len(pending)} steps are as many as were allowed")
+        return provisional(None, reason=f"{series.steps + len(pending)} steps are as many as were allowed")
     if fitted is None or not is_explained(fitted, level):
-        return SweepDecision(near_misfit(series, fitted), fitted, "the model does not explain all steps")
+        return provisional(near_misfit(series, fitted), reason="the model does not explain all steps")
     if not fitted.modes:
         if len(series.frequency_hz) < 2 * len(first_sweep(goal.band_hz)):
-            return SweepDecision(widest_gap(series.frequency_hz), fitted, "no mode is seen yet")
-        return SweepDecision(None, fitted, "the band has no mode that shows")
+            return provisional(widest_gap(series.frequency_hz), reason="no mode is seen yet")
+        return provisional(None, reason="the band has no mode that shows")
     candidates = candidate_frequencies(fitted, goal.band_hz)
     expected = fitted
     if pending:
@@ -155,8 +140,8 @@ def _decide(
         wanted=(goal.sd_frequency, goal.sd_damping),
     )
     if step is None:
-        return SweepDecision(None, fitted, "all modes are known as well as was wanted", is_reached=True)
-    return SweepDecision(step.frequency_hz, fitted, INFORMATIVE)
+        return provisional(None, reason="all modes are known as well as was wanted", is_reached=True)
+    return SweepDecision(step.frequency_hz, fitted, "here a step gives most information")
 
 
 def fit_poles(series: ResponseSeries, frequency_hz: FloatArray, damping: FloatArray, residual_terms: int) -> ModalFit:
