@@ -18,7 +18,7 @@ MARGIN_PX = 16
 DIFFRACTION_PX = 2.8
 """Wavelength times f-number at f/32, mean of the mosaic's colours."""
 OWN_LENS_SIGMA_PX = 0.13
-"""What the simulated lens blurs besides."""
+"""What the simulated lens adds to the blur of diffraction."""
 PLAIN_NOISE = NoiseModel(read_dn=7.0 / 8.5, gain_dn=1.0 / 8.5)
 """Of a D80, without the paper's texture."""
 

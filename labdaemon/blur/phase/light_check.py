@@ -44,7 +44,7 @@ def score_light(
         (2, 2) aaᵀ + bbᵀ by the smear's moments.
     """
     constant = _constant_excess(frame_set, solution, moment_px2)
-    reach = 3.0 + 1.3 * float(np.linalg.norm(solution.p[frame_set.first_motion :]))
+    reach = frame_set.max_amplitude_px(solution.p)
     base, _ = frame_set.forward_model(transfer_factory, reach)(solution.p)
     slope = -paper_level(frame_set.planes, solution.light) * solution.light[:, 3, None, None]
     root = np.sqrt(solution.weight)

@@ -64,8 +64,8 @@ def widen_by_valley(
     weight = (1 - variance / scatter) * probability
     axes = np.cos(phase + fine)[:, None] * moved[:, 2:4] + np.sin(phase + fine)[:, None] * moved[:, 4:]
     middle = len(fine) // 2
-    beside, away = axes - axes[middle], moved - moved[middle]
-    return covariance + (weight * away.T) @ away, (weight * beside.T) @ beside
+    from_middle, away = axes - axes[middle], moved - moved[middle]
+    return covariance + (weight * away.T) @ away, (weight * from_middle.T) @ from_middle
 
 
 def _scan(

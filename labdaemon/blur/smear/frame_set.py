@@ -131,6 +131,11 @@ class FrameSet:
             frames += [*place, blur.mean_px2]
         return np.concatenate((frames, np.zeros(self.nuisance_count), motion))
 
+    def max_amplitude_px(self, p: FloatArray) -> float:
+        """Largest amplitude that a model at p must represent: no motion is longer than its patch, whatever p says."""
+        height, width = self.problems[0].grid.size
+        return 3.0 + 1.3 * min(float(np.linalg.norm(p[self.first_motion :])), float(np.hypot(height, width)))
+
     def forward_model(
         self, transfer_factory: TransferFactory, max_amplitude_px: float, *, exact: bool = False
     ) -> DarknessModel:

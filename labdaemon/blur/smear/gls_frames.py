@@ -55,7 +55,7 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
     unrefined = solution
     held = not _shows_phase(frame_set, solution)
     # Near rest the phase does not show and the sd has no bound: a step may leave the paths that the model represents.
-    longest_px = _max_amplitude_px(frame_set, unrefined.p)
+    longest_px = frame_set.max_amplitude_px(unrefined.p)
     if not np.linalg.norm(unrefined.p[frame_set.first_motion :]) <= longest_px:
         return unrefined
     for _ in range(GLS.frame_steps):
@@ -72,15 +72,9 @@ def gls_refine_frames(frame_set: FrameSet, solution: Solution, transfer_factory:
         step = np.abs(solution.p - before.p)
         if np.all(step < SOLVER.last_step_sd * np.sqrt(np.diag(solution.covariance)) + HELD_PHASE_SD_RAD):
             break
-        dark, _ = frame_set.forward_model(transfer_factory, _max_amplitude_px(frame_set, solution.p))(solution.p)
+        dark, _ = frame_set.forward_model(transfer_factory, frame_set.max_amplitude_px(solution.p))(solution.p)
         solution = replace(solution, signal=render_illumination(frame_set.planes, solution.light, dark))
     return solution
-
-
-def _max_amplitude_px(frame_set: FrameSet, p: FloatArray) -> float:
-    """Largest amplitude that the model must represent: no motion is longer than its patch, whatever a step says."""
-    height, width = frame_set.problems[0].grid.size
-    return 3.0 + 1.3 * min(float(np.linalg.norm(p[frame_set.first_motion :])), float(np.hypot(height, width)))
 
 
 def compare_solutions(
@@ -172,7 +166,7 @@ def frame_products(
     The parameters are the frame's own and the common ones: the shape's, the ambient light's and the motion's.
     """
     p, first, ambient = solution.p, frame_set.first_motion, frame_set.ambient_count
-    max_amplitude_px = _max_amplitude_px(frame_set, p)
+    max_amplitude_px = frame_set.max_amplitude_px(p)
     dark, by_p = frame_set.forward_model(transfer_factory, max_amplitude_px, exact=True)(p)
     nuisance = FRAME_PARAMETERS * len(frame_set.problems)
     for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):

@@ -58,7 +58,7 @@ def member_chi2(frame_set: FrameSet, solution: Solution) -> tuple[float, int]:
     """χ² between the frames and its degrees of freedom, of the joint fit by an orbit or an in-phase motion."""
     first = frame_set.first_motion
     p = np.concatenate((solution.p[:first], _orbit_vectors(solution.p[first:])))
-    dark, _ = frame_set.forward_model(window_orbit_transfer, 3.0 + 1.3 * float(np.linalg.norm(p[first:])))(p)
+    dark, _ = frame_set.forward_model(window_orbit_transfer, frame_set.max_amplitude_px(p))(p)
     at = replace(solution, p=p, signal=render_illumination(frame_set.planes, solution.light, dark))
     normals, scores = [], []
     for index, (_, products, _) in enumerate(frame_products(frame_set, at, window_orbit_transfer)):

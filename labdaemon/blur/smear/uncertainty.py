@@ -102,7 +102,7 @@ def timing_covariance(best: Solution, frame_set: FrameSet, transfer_factory: Tra
     windows = frame_set.windows
     if not any(_variations(window) for window in windows):
         return total
-    reach = 3.0 + 1.3 * float(np.linalg.norm(best.p[frame_set.first_motion :]))
+    reach = frame_set.max_amplitude_px(best.p)
     base, _ = frame_set.forward_model(transfer_factory, reach)(best.p)
     level = paper_level(frame_set.planes, best.light) * best.light[:, 3, None, None]
     for index, window in enumerate(windows):
