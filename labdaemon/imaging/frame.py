@@ -51,8 +51,8 @@ class RawFrame:
     white_level
         Counts at which the file says that the sensor or its converter clips.
     ceilings_dn
-        (channels,) counts at which each channel clips by the frame's own values, inf where they do not show it; None
-        where it was not looked for.
+        (channels,) counts at which each channel clips, or from which it compresses, by the frame's own values; inf
+        where they do not show it, None where it was not looked for.
     masked
         (h, w) bool of pixels known to be unusable (clipped in one of the averaged frames), or None.
     frames
@@ -61,6 +61,8 @@ class RawFrame:
         From the file's metadata: the camera's clock, the body's serial number, the exposure; None or empty if absent.
     notes
         What a person should know of the file, one line each.
+    is_raw
+        Whether the values are the sensor's own; those of other files may have a tone curve.
     """
 
     path: Path
@@ -75,6 +77,7 @@ class RawFrame:
     exposure_s: float | None = None
     ceilings_dn: FloatArray | None = None
     notes: tuple[str, ...] = ()
+    is_raw: bool = False
 
     @property
     def size(self) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from labdaemon.errors import DataError
 from labdaemon.imaging.ceiling import find_ceilings
+from labdaemon.imaging.compression import find_knees
 from labdaemon.imaging.file_tags import TIFF_LIKE, FileTags, read_tags
 from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.frame_checks import empty_note, empty_rows, refuse_mosaic
@@ -93,7 +94,11 @@ def check_frame(frame: RawFrame) -> RawFrame:
     if empty.any():
         masked = np.repeat(empty[:, None], values.shape[1], axis=1)
         frame = replace(frame, masked=masked, notes=(empty_note(frame.path, empty),))
-    return replace(frame, ceilings_dn=find_ceilings(values, frame.pattern))
+    ceilings_dn = find_ceilings(values, frame.pattern)
+    if frame.is_raw:
+        tops_dn = np.minimum(ceilings_dn, frame.white_level)
+        ceilings_dn = np.minimum(ceilings_dn, find_knees(values, frame.pattern, float(frame.black.mean()), tops_dn))
+    return replace(frame, ceilings_dn=ceilings_dn)
 
 
 def _magic(path: Path) -> bytes:
@@ -144,6 +149,7 @@ def _raw(path: Path, tags: FileTags) -> RawFrame:
         taken_at=tags.taken_at,
         serial=tags.serial,
         exposure_s=tags.exposure_s,
+        is_raw=True,
     )
 
 
