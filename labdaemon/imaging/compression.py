@@ -91,8 +91,7 @@ def find_knees(
 
 def _bands(rows: int, step: int) -> NDArray[np.intp]:
     """One of `step` bands of rows. The seams between them look like edges, which only add to the noise."""
-    place = np.arange(rows)
-    return place[place // BAND % step == 0]
+    return np.flatnonzero(np.arange(rows) // BAND % step == 0)
 
 
 def _is_bright(plane: NDArray[np.uint16], black_dn: float, top_dn: float) -> bool:
