@@ -14,6 +14,7 @@ import click
 import numpy as np
 
 from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX
+from labdaemon.bench.signed_error import interval_text, rms_interval, signed_error
 from labdaemon.bench.simulator import Motion, Renderer, renderer
 from labdaemon.blur import (
     Defocus,
@@ -31,7 +32,8 @@ from labdaemon.blur import (
     measure_group,
 )
 from labdaemon.campaign.campaign_file import load_campaign
-from labdaemon.campaign.fisher_plan import DesignSearch, Expectation, Goal, StepDesign
+from labdaemon.campaign.capture_design import Expectation, Goal, StepDesign
+from labdaemon.campaign.fisher_plan import DesignSearch
 from labdaemon.campaign.light_plan import ImageScale
 from labdaemon.campaign.limits import ShakerLimits
 from labdaemon.campaign.plan import PlanRig
@@ -62,30 +64,30 @@ class PlannedTrials:
     ----------
     predicted_mm, predicted_rad
         Standard deviations as planned.
-    measured_mm, measured_rad
-        Root mean square errors; NaN for a phase that is not predicted.
+    errors_mm, errors_rad
+        Errors of trials without a flag; none of a phase that is not predicted.
+    phase_pulls
+        Errors of the phase over the standard deviations that each trial states.
     flagged
-        Trials with a flag.
-    count
-        All trials.
+        Trials with a flag: mostly twins under a code, between which several cameras decide.
     """
 
     predicted_mm: float
     predicted_rad: float
-    measured_mm: float
-    measured_rad: float
+    errors_mm: FloatArray
+    errors_rad: FloatArray
+    phase_pulls: FloatArray
     flagged: int
-    count: int
 
     @property
     def amplitude_ratio(self) -> float:
         """Measured over predicted standard deviation of the amplitude."""
-        return self.measured_mm / self.predicted_mm
+        return rms_interval(self.errors_mm / self.predicted_mm)[0]
 
     @property
     def phase_ratio(self) -> float:
         """The same of the phase; NaN where it does not show."""
-        return self.measured_rad / self.predicted_rad if math.isfinite(self.predicted_rad) else math.nan
+        return rms_interval(self.errors_rad / self.predicted_rad)[0]
 
 
 def plan_case(goal: Goal, extra: str, lamp: Lamp | None, amplitude_mm: float) -> StepDesign:
@@ -148,13 +150,19 @@ def run_planned(
             found = measure_group(sharp, patches, windows, defocus=still)
         else:
             found = measure_frame([sharp], patches, window=windows[0], defocus=still)[0]
-        flagged += bool(found.flags)
-        vector = camera.direction_px
-        phasor = complex(found.a_px @ vector, found.b_px @ vector) if shows_phase else complex(found.amplitude_px, 0.0)
-        turn = math.remainder(math.atan2(phasor.imag, phasor.real) - phase_rad, 2 * math.pi) if shows_phase else 0.0
-        errors.append((abs(phasor) / PX_PER_MM - amplitude_mm, turn))
-    rms = np.sqrt(np.mean(np.square(errors), axis=0))
-    return PlannedTrials(*predicted, float(rms[0]), float(rms[1]) if shows_phase else math.nan, flagged, count)
+        if found.flags:
+            flagged += 1
+            continue
+        if not shows_phase:
+            errors.append((found.amplitude_px / PX_PER_MM - amplitude_mm, 0.0, 0.0))
+            continue
+        vector, size = camera.direction_px, amplitude_mm * PX_PER_MM
+        error = signed_error(found, size * np.concatenate((np.cos(phase_rad) * vector, np.sin(phase_rad) * vector)))
+        errors.append((error.amplitude_px / PX_PER_MM, error.phase_rad, error.phase_pull))
+    sizes, turns, pulls = np.array(errors).reshape(-1, 3).T
+    if not shows_phase:
+        turns = pulls = np.zeros(0)
+    return PlannedTrials(*predicted, sizes, turns, pulls, flagged)
 
 
 def exposure_brightness(window: ExposureWindow) -> float:
@@ -260,7 +268,8 @@ def command(count: int, amplitude_mm: float, seed: int) -> None:
     """Captures as `plan --optimise` chooses them: measured over predicted standard deviations."""
     known: dict[str, PlannedTrials] = {}
     click.echo(
-        "goal               captures                       predicted: mm, °    measured: mm, °    ratio mm   ratio °"
+        "goal               captures                   predicted: mm, °    measured: mm, °"
+        "            ratio mm              ratio °           phase pulls   flagged (predicted)"
     )
     for name, goal, extra, lamp in CASES:
         planned = plan_case(goal, extra, lamp, amplitude_mm)
@@ -273,9 +282,10 @@ def command(count: int, amplitude_mm: float, seed: int) -> None:
                 known[key] = run_planned(windows, predicted, amplitude_mm, count, seed=seed)
             found = known[key]
             shot = f"{which:<5}{len(windows)} × {design.windows[0].exposure_s:.3g} s"
+            measured = rms_interval(found.errors_mm)[0], math.degrees(rms_interval(found.errors_rad)[0])
             click.echo(
-                f"{name:<19}{shot:<24}{found.predicted_mm:>14.5f} {math.degrees(found.predicted_rad):>6.3f}"
-                f"{found.measured_mm:>13.5f} {math.degrees(found.measured_rad):>6.3f}"
-                f"{found.amplitude_ratio:>11.2f}{found.phase_ratio:>10.2f}"
-                + (f"   {found.flagged} of {count} flagged" if found.flagged else "")
+                f"{name:<19}{shot:<20}{found.predicted_mm:>14.5f} {math.degrees(found.predicted_rad):>6.3f}"
+                f"{measured[0]:>13.5f} {measured[1]:>6.3f}   {interval_text(found.errors_mm / found.predicted_mm)}   "
+                f"{interval_text(found.errors_rad / found.predicted_rad)}   {interval_text(found.phase_pulls)}   "
+                f"{found.flagged / count:.0%} ({precision.ambiguous:.0%})"
             )

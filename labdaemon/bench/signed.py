@@ -15,6 +15,7 @@ from labdaemon.bench.bound import LENS_SIGMA_PX, PX_PER_MM
 from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX, TEXTURE_MM
 from labdaemon.bench.pairs import read_truth
 from labdaemon.bench.signed_cases import SignedCase, signed_cases
+from labdaemon.bench.signed_error import signed_error
 from labdaemon.bench.simulator import folder_maker
 from labdaemon.blur import DotImage, ExposureWindow, FloatArray, Measurement, NoiseModel, predict_sd
 from labdaemon.flags import Flag
@@ -169,22 +170,16 @@ def _in_image(
     true = (jacobian @ motion_mm.T).T.reshape(4)
     size_px, size_mm = float(np.linalg.norm(true)), float(np.linalg.norm(motion_mm))
     scale = size_mm / size_px
-    found = np.concatenate((one.a_px, one.b_px))
-    by_phase, along = np.concatenate((-true[2:], true[:2])) / size_px, true / size_px
-    covariance = one.covariance_px2[2:, 2:]
-    error = found - true
-    sd_phase, sd_size = (float(np.sqrt(v @ covariance @ v)) for v in (by_phase, along))
-    phase = float(np.angle(np.vdot(true[:2] + 1j * true[2:], found[:2] + 1j * found[2:])))
+    error = signed_error(one, true)
     bound = _bound(case, true, windows)
-    amplitude = float(np.linalg.norm(found)) - size_px
     return SignedComparison(
         size_mm,
         size_px,
-        scale * float(np.linalg.norm(error)),
-        scale * amplitude,
-        float(np.degrees(phase)),
-        (amplitude / sd_size, phase * size_px / sd_phase),
-        float(np.degrees(sd_phase / size_px)),
+        scale * error.vector_px,
+        scale * error.amplitude_px,
+        float(np.degrees(error.phase_rad)),
+        (error.amplitude_pull, error.phase_pull),
+        float(np.degrees(error.sd_phase_rad)),
         float(np.degrees(bound.phase_rad)),
         scale * float(np.hypot(bound.amplitude_px, size_px * np.hypot(bound.phase_rad, bound.direction_rad))),
         frozenset(flag.value for flag in one.flags),

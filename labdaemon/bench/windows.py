@@ -13,6 +13,7 @@ import click
 import numpy as np
 
 from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX, PX_PER_MM, RADIUS_MM, DotBench
+from labdaemon.bench.signed_error import interval_text, signed_error
 from labdaemon.blur import (
     Defocus,
     DotImage,
@@ -163,18 +164,15 @@ def run_known(
             flagged += 1
             continue
         if openings == 1:
-            error = found.amplitude_px - size
-            pulls.append([error / found.sd_px])
-            errors.append(abs(error) / PX_PER_MM)
+            off_px = found.amplitude_px - size
+            pulls.append([off_px / found.sd_px])
+            errors.append(abs(off_px) / PX_PER_MM)
             bounds.append(bound.amplitude_px / PX_PER_MM)
             continue
         along = np.array([np.cos(direction), -np.sin(direction)])
-        true = size * np.concatenate((np.cos(phase) * along, np.sin(phase) * along))
-        seen = np.concatenate((found.a_px, found.b_px))
-        radial, tangential = true / size, np.concatenate((-true[2:], true[:2])) / size
-        covariance = found.covariance_px2[2:, 2:]
-        pulls.append([float(d @ (seen - true) / np.sqrt(d @ covariance @ d)) for d in (radial, tangential)])
-        errors.append(float(np.linalg.norm(seen - true)) / PX_PER_MM)
+        error = signed_error(found, size * np.concatenate((np.cos(phase) * along, np.sin(phase) * along)))
+        pulls.append([error.amplitude_pull, error.phase_pull])
+        errors.append(error.vector_px / PX_PER_MM)
         whole = np.hypot(bound.amplitude_px, size * np.hypot(bound.phase_rad, bound.direction_rad))
         bounds.append(float(whole) / PX_PER_MM)
     table = np.array(pulls).reshape(-1, openings)
@@ -246,14 +244,15 @@ def command(
         what = "signed vectors, a quarter of a cycle apart" if openings > 1 else "amplitudes"
         click.echo(f"Windows known: {openings} x {cycles:g} cycles, {what}, texture {texture:.1%}")
         click.echo(
-            "amplitude mm   dots   flagged   rms µm   bound µm   over the bound   95 % µm   pulls: amplitude   phase"
+            "amplitude mm   dots   flagged   rms µm   bound µm      over the bound   95 % µm    pulls: amplitude"
+            "               phase"
         )
         for amplitude in amplitudes or KNOWN_MM:
             known = run_known(amplitude, cycles, dots, texture, seed, openings=openings)
-            ratio = _rms(known.error_mm / known.bound_mm)
             p95 = float(np.percentile(known.error_mm, 95)) if known.error_mm.size else float("nan")
+            ratio = interval_text(known.error_mm / known.bound_mm)
             click.echo(
                 f"{amplitude:12.1f}   {dots:4d}   {known.flagged:7d}   {_rms(known.error_mm) * 1e3:6.1f}   "
-                f"{_rms(known.bound_mm) * 1e3:8.1f}   {ratio:14.2f}   {p95 * 1e3:7.1f}   "
-                f"{_rms(known.amplitude_pulls):16.2f}   {_rms(known.phase_pulls):5.2f}"
+                f"{_rms(known.bound_mm) * 1e3:8.1f}   {ratio}   {p95 * 1e3:7.1f}   "
+                f"{interval_text(known.amplitude_pulls)}   {interval_text(known.phase_pulls)}"
             )

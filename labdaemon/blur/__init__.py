@@ -47,6 +47,7 @@ from labdaemon.blur.sharp.fit_sharp import fit_sharp, unmeasurable_target
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import make_textured_patch
 from labdaemon.blur.smear.defocus import estimate_frame_defocus
+from labdaemon.blur.threshold import PhaseScatter, predict_scatter
 from labdaemon.blur.twins import Twin, nearest_twin
 from labdaemon.blur.unsolvable import solved
 from labdaemon.blur.waveform import MotionWaveform
@@ -68,6 +69,7 @@ __all__ = [
     "MotionWaveform",
     "NoiseModel",
     "Patch",
+    "PhaseScatter",
     "PredictedSd",
     "RelativeSigns",
     "SharedWaveform",
@@ -100,6 +102,7 @@ __all__ = [
     "motion_vectors",
     "named_code",
     "nearest_twin",
+    "predict_scatter",
     "predict_sd",
     "sd_of_information",
     "share_ambient",

@@ -20,7 +20,7 @@ import numpy as np
 from labdaemon.blur.motion import ExposureWindow
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.prediction import DEFOCUS_SD_PX2, DotImage, light_fraction
-from labdaemon.blur.spectra.closed_form import ellipse_spectrum, gaussian_transfer, pixel_transfer
+from labdaemon.blur.spectra.closed_form import diffraction_transfer, ellipse_spectrum, gaussian_transfer, pixel_transfer
 from labdaemon.blur.waveform import window_nodes
 from labdaemon.errors import UsageError
 
@@ -83,28 +83,30 @@ def nearest_twin(
     """
     if not exposures or not 0 < amplitude_px < np.inf:
         raise UsageError("a search for twins needs an exposure, and an amplitude above zero")
-    group = _Group(exposures, amplitude_px, dot or DotImage())
+    group = TransferTable(exposures, amplitude_px, dot or DotImage())
     # Off the grid's own multiples, where symmetric codes have motions that are their own twins.
     tried = (np.arange(phases) + 0.37) / phases * np.pi
     return min((group.nearest(float(phase)) for phase in tried), key=lambda twin: twin.distance_sd)
 
 
-class _Group:
+class TransferTable:
     """Transfer functions of a group's captures along the motion, and how far apart the images of two motions are."""
 
     def __init__(self, exposures: Sequence[ExposureWindow], amplitude_px: float, dot: DotImage) -> None:
         self._amplitude_px = amplitude_px
-        self._f = (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES * _band(dot)
+        self.frequencies: FloatArray = (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES * _band(dot)
         self._nodes = [_few_nodes(*window_nodes(window, 1.5 * amplitude_px)) for window in exposures]
-        self._weights = [_spectral_weight(self._f, dot, light_fraction(window)) for window in exposures]
+        self.weights: list[FloatArray] = [
+            _spectral_weight(self.frequencies, dot, light_fraction(window)) for window in exposures
+        ]
         turns = np.arange(_GRID_PHASES) / _GRID_PHASES * 2 * np.pi
         phase, amplitude = np.meshgrid(turns, amplitude_px * _GRID_AMPLITUDES, indexing="ij")
         self._grid = np.stack((phase.ravel(), amplitude.ravel()))
-        self._grid_transfers = self._transfers(self._grid)
+        self._grid_transfers = self.transfers(self._grid)
 
     def nearest(self, phase_rad: float) -> Twin:
         """The nearest twin of one motion."""
-        own = self._transfers(np.array([[phase_rad], [self._amplitude_px]]))
+        own = self.transfers(np.array([[phase_rad], [self._amplitude_px]]))
         far = _apart(self._grid[0], phase_rad)
         distance = np.where(far, self._distance2(own, self._grid_transfers), np.inf)
         best, found = np.inf, self._grid[:, 0]
@@ -121,14 +123,14 @@ class _Group:
         offsets = np.stack([part.ravel() for part in np.meshgrid(*2 * [np.linspace(-1, 1, 5)], indexing="ij")])
         for _ in range(_ROUNDS):
             around = place[:, None] + offsets * steps[:, None]
-            distance = np.where(_apart(around[0], phase_rad), self._distance2(own, self._transfers(around)), np.inf)
+            distance = np.where(_apart(around[0], phase_rad), self._distance2(own, self.transfers(around)), np.inf)
             least = int(np.argmin(distance))
             if distance[least] < best:
                 best, place = float(distance[least]), around[:, least]
             steps = steps / 2
         return best, place
 
-    def _transfers(self, motions: FloatArray) -> list[ComplexArray]:
+    def transfers(self, motions: FloatArray) -> list[ComplexArray]:
         """Transfer functions (motions, frequencies) of each capture, about the path's centroid."""
         found: list[ComplexArray] = []
         for basis, weight in self._nodes:
@@ -137,10 +139,10 @@ class _Group:
             )
             path = path - (path @ weight)[:, None]
             # Frequencies are equally spaced, so that each power of the exponential is the one before times a step.
-            step = np.exp(-2j * np.pi * (self._f[1] - self._f[0]) * path)
-            power = np.exp(-2j * np.pi * self._f[0] * path) * weight
+            step = np.exp(-2j * np.pi * (self.frequencies[1] - self.frequencies[0]) * path)
+            power = np.exp(-2j * np.pi * self.frequencies[0] * path) * weight
             columns = [power.sum(axis=1)]
-            for _ in self._f[1:]:
+            for _ in self.frequencies[1:]:
                 power = power * step
                 columns.append(power.sum(axis=1))
             found.append(np.stack(columns, axis=1))
@@ -150,9 +152,11 @@ class _Group:
         """D² (motions,) between one motion and others, with each frame's own unknowns adjusted."""
         total = np.zeros(len(others[0]))
         prior = np.diag([1e-6, 1e-6, DEFOCUS_SD_PX2**-2])
-        for one, other, weight in zip(own, others, self._weights, strict=True):
+        for one, other, weight in zip(own, others, self.weights, strict=True):
             left = one - other
-            moves = np.stack((-2j * np.pi * self._f * other, other, -2 * np.pi**2 * self._f**2 * other), axis=1)
+            moves = np.stack(
+                (-2j * np.pi * self.frequencies * other, other, -2 * np.pi**2 * self.frequencies**2 * other), axis=1
+            )
             normal = np.einsum("mif,mjf,f->mij", moves.conj(), moves, weight).real + prior
             pull = np.einsum("mif,mf,f->mi", moves.conj(), left, weight).real
             gain = np.einsum("mi,mi->m", pull, np.linalg.solve(normal, pull[:, :, None])[:, :, 0])
@@ -185,6 +189,8 @@ def _spectral_weight(f: FloatArray, dot: DotImage, light: float) -> FloatArray:
     square = fx**2 + fy**2
     dark = ellipse_spectrum(fx, fy, np.array([dot.radius_px, 0.0, dot.radius_px]))[0]
     dark = dark * gaussian_transfer(square, dot.lens_sigma_px**2) * pixel_transfer(fx, fy)
+    if dot.diffraction_px > 0:
+        dark = dark * diffraction_transfer(np.sqrt(square), dot.diffraction_px)
     white = dot.white_dn * light
     variance = dot.noise.variance(np.array(white * (1 + dot.ink) / 2))
     density = (1 - dot.ink) ** 2 * white**2 * dark**2 / variance

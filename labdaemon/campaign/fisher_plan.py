@@ -2,9 +2,10 @@
 
 For each excitation of a campaign the captures that a phase may ask for are planned as a campaign would plan them, and
 the Cramér–Rao bound of amplitude and phase is predicted from the modelled images, with photon noise, read noise and
-paper texture (`labdaemon.blur.predict_sd`). Repeated captures lower the variance as 1/n, so that captures are compared
-by sd·√(time to take them). The bound is averaged over all phases of the motion (root mean square) and over the expected
-amplitudes (geometric mean).
+paper texture (`labdaemon.blur.predict_sd`). Codes have phases with neighbours that are hard to tell from them, and
+small motions hardly show theirs: what that adds is predicted by the whole likelihood (`predict_scatter`). Repeated
+captures lower the variance as 1/n, so that captures are compared by sd·√(time to take them). The bound is averaged over
+all phases of the motion (root mean square) and over the expected amplitudes (geometric mean).
 
 What one opening shows depends on its phase against the motion alone: openings of all groups share their information.
 """
@@ -13,29 +14,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from labdaemon.blur import (
-    DotImage,
     ExposureWindow,
     FloatArray,
     LightCode,
+    PhaseScatter,
     light_fraction,
     motion_information,
     motion_vectors,
+    predict_scatter,
     sd_of_information,
 )
 from labdaemon.campaign.campaign_file import Campaign, CampaignSection, DwellPhase, StepsPhase, SweepPhase
-from labdaemon.campaign.light_plan import ImageScale
+from labdaemon.campaign.capture_design import CaptureDesign, Expectation, Goal, GroupPrecision, StepDesign
 from labdaemon.campaign.plan import PlanRig, make_plan
 from labdaemon.campaign.steps import Step
 from labdaemon.capture.exposure import common_steps_s
 from labdaemon.errors import LabdaemonError
 
-Goal = Literal["amplitude", "phase"]
 ExcitedPhase = StepsPhase | SweepPhase | DwellPhase
 
 OPENINGS: tuple[tuple[float, ...], ...] = (
@@ -57,118 +58,10 @@ MOST_WHITE = 1.25
 """Paper brighter than this reaches the sensor's ceiling, where the campaign's own exposure gives 70 % of it."""
 FIT_OVER_BOUND = 1.15
 """What the fits reach over the bound: 1.0 to 1.3 (`labdaemon bench planned`)."""
+CURVED_RAD = 0.1
+"""Bound of a phase under constant light from which other phases count as well: its likelihood is no parabola."""
 LIMIT_CYCLES = 0.05
 """Without a known phase an exposure further from whole cycles is flagged `part_cycles`, and is not tried."""
-
-
-@dataclass(frozen=True, slots=True)
-class Expectation:
-    """What is expected of the structure and the images.
-
-    Attributes
-    ----------
-    amplitudes_mm
-        Semi-amplitudes over which precision is averaged.
-    scale
-        How large things are in the images.
-    dot
-        Brightness and noise of a dot's image at the campaign's own exposure; its radius comes from `scale`.
-    sd_opening_s
-        Standard deviation with which the opening of a shutter is measured.
-    """
-
-    amplitudes_mm: tuple[float, ...]
-    scale: ImageScale
-    dot: DotImage = field(default_factory=DotImage)
-    sd_opening_s: float = 1e-4
-
-    def image(self, brightness: float) -> DotImage:
-        """The dot's image at so many times the brightness of the campaign's own exposure."""
-        radius_px = self.scale.dot_mm / 2 * self.scale.px_per_mm
-        return replace(self.dot, radius_px=radius_px, white_dn=self.dot.white_dn * brightness)
-
-
-@dataclass(frozen=True, slots=True)
-class GroupPrecision:
-    """What one group of captures is predicted to know.
-
-    Attributes
-    ----------
-    sd_amplitude_mm, sd_phase_rad
-        Of one target and camera, averaged over amplitudes and phases: 1.15 times the bound. Infinite where the images
-        do not show it.
-    seconds
-        Time that the group takes, without settling.
-    """
-
-    sd_amplitude_mm: float
-    sd_phase_rad: float
-    seconds: float
-
-    def sd(self, goal: Goal) -> float:
-        """What is to be small."""
-        return self.sd_amplitude_mm if goal == "amplitude" else self.sd_phase_rad
-
-    def per_root_time(self, goal: Goal) -> float:
-        """Sd × √time: what repeating the group cannot change."""
-        return self.sd(goal) * math.sqrt(self.seconds)
-
-    def repeated(self, count: int) -> GroupPrecision:
-        """The same of so many groups."""
-        root = math.sqrt(count)
-        return GroupPrecision(self.sd_amplitude_mm / root, self.sd_phase_rad / root, self.seconds * count)
-
-
-@dataclass(frozen=True, slots=True)
-class CaptureDesign:
-    """Captures at one excitation, as a phase of a campaign asks for them.
-
-    Attributes
-    ----------
-    phase
-        The phase, for this excitation alone.
-    step
-        What the planner makes of it: one group.
-    windows
-        Exposures of the group.
-    precision
-        Of one group.
-    """
-
-    phase: StepsPhase
-    step: Step
-    windows: tuple[ExposureWindow, ...]
-    precision: GroupPrecision
-
-
-@dataclass(frozen=True, slots=True)
-class StepDesign:
-    """The campaign's own captures at one excitation, and the best ones.
-
-    Attributes
-    ----------
-    own, best
-        Each as one group; `best` is `own` where nothing better was found.
-    own_groups, best_groups
-        How many of each: what the campaign asks for, and what fits into the same time.
-    """
-
-    frequency_hz: float
-    amplitude_mm: float
-    own: CaptureDesign
-    best: CaptureDesign
-    own_groups: int
-    best_groups: int
-
-    @property
-    def own_precision(self) -> GroupPrecision:
-        """Of all groups that the campaign asks for."""
-        return self.own.precision.repeated(self.own_groups)
-
-    @property
-    def best_precision(self) -> GroupPrecision:
-        """Of as many of the best groups as fit into the same time, at least one."""
-        return self.best.precision.repeated(self.best_groups)
 
 
 class DesignSearch:
@@ -189,6 +82,7 @@ class DesignSearch:
         self._rig = replace(rig, free_bytes=None)
         self._expectation, self._goal = expectation, goal
         self._known: dict[tuple[Any, ...], FloatArray] = {}
+        self._scatter: dict[tuple[Any, ...], PhaseScatter] = {}
 
     def best(self, phase: ExcitedPhase, frequency_hz: float, amplitude_mm: float) -> StepDesign:
         """The best captures at one excitation of a phase, next to the phase's own.
@@ -279,21 +173,49 @@ class DesignSearch:
 
     def _precision(self, step: Step, windows: Sequence[ExposureWindow], nominal_s: float) -> GroupPrecision:
         expected = self._expectation
-        logs = []
+        logs, ambiguous = list[FloatArray](), list[float]()
         for amplitude_mm in expected.amplitudes_mm:
             amplitude_px = amplitude_mm * expected.scale.px_per_mm
-            squares = []
-            for phase_rad in CODED_MOTION_PHASES if any(one.light for one in windows) else MOTION_PHASES:
+            phases = CODED_MOTION_PHASES if any(one.light for one in windows) else MOTION_PHASES
+            bounds = []
+            for phase_rad in phases:
                 information = sum(
                     (self._information(window, amplitude_px, phase_rad, nominal_s) for window in windows),
                     np.zeros((4, 4)),
                 )
                 found = sd_of_information(information, amplitude_px, phase_rad)
-                squares.append((found.amplitude_px**2, found.phase_rad**2))
+                bounds.append((found.amplitude_px, found.phase_rad))
+            squares, share = self._with_scatter(windows, amplitude_px, np.array(phases), np.array(bounds), nominal_s)
             logs.append(0.5 * np.log(np.mean(squares, axis=0)))
-        sds = FIT_OVER_BOUND * np.exp(np.mean(logs, axis=0))
+            ambiguous.append(share)
+        sds = np.exp(np.mean(logs, axis=0))
         seconds = sum(shot.exposure_s + self._rig.shot_s for shot in step.shots)
-        return GroupPrecision(float(sds[0]) / expected.scale.px_per_mm, float(sds[1]), seconds)
+        return GroupPrecision(
+            float(sds[0]) / expected.scale.px_per_mm, float(sds[1]), seconds, float(np.mean(ambiguous))
+        )
+
+    def _with_scatter(
+        self,
+        windows: Sequence[ExposureWindow],
+        amplitude_px: float,
+        phases_rad: FloatArray,
+        bounds: FloatArray,
+        nominal_s: float,
+    ) -> tuple[FloatArray, float]:
+        """(n, 2) variances of amplitude and phase by the bounds and by the valleys beyond, and the ambiguous share."""
+        squares = (FIT_OVER_BOUND * bounds) ** 2
+        is_coded = any(one.light for one in windows)
+        if not np.isfinite(bounds).all() or not (is_coded or bounds[:, 1].max() > CURVED_RAD):
+            return squares, 0.0
+        brightness = round(windows[0].exposure_s / nominal_s, 3)
+        timing = tuple((round(one.cycles, 4), one.light, one.phase_rad) for one in windows)
+        key = (*timing, brightness, round(amplitude_px, 4))
+        if key not in self._scatter:
+            dot = self._expectation.image(brightness)
+            self._scatter[key] = predict_scatter(windows, amplitude_px, phases_rad, bounds[:, 1], dot)
+        scatter = self._scatter[key]
+        beyond = np.maximum(scatter.phase_rad**2 - bounds[:, 1] ** 2, 0.0)
+        return squares + np.stack((scatter.amplitude_px**2, beyond), axis=1), float(scatter.ambiguous.mean())
 
     def _information(
         self, window: ExposureWindow, amplitude_px: float, phase_rad: float, nominal_s: float

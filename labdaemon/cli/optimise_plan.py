@@ -12,17 +12,8 @@ import click
 import tomli_w
 
 from labdaemon.campaign.campaign_file import Campaign, StepsPhase, SweepPhase, load_campaign
-from labdaemon.campaign.fisher_plan import (
-    CaptureDesign,
-    DesignSearch,
-    Expectation,
-    Goal,
-    GroupPrecision,
-    StepDesign,
-    default_goal,
-    excitations,
-    spread_amplitudes,
-)
+from labdaemon.campaign.capture_design import CaptureDesign, Expectation, Goal, GroupPrecision, StepDesign
+from labdaemon.campaign.fisher_plan import DesignSearch, default_goal, excitations, spread_amplitudes
 from labdaemon.campaign.light_plan import ImageScale
 from labdaemon.campaign.plan import PlanRig, make_plan
 from labdaemon.durable import write_durably
@@ -30,6 +21,9 @@ from labdaemon.errors import UsageError
 
 TRANSMISSIBILITY = (0.5, 5.0)
 """Structure's motion over the table's, where nothing else is said: from near a node to near a mode."""
+
+LEAST_AMBIGUOUS = 0.005
+"""Share of measurements with a twin that is worth a word."""
 
 PlannedDesign = tuple[int, StepDesign]
 """Place of a phase in the file, and one of its excitations."""
@@ -90,7 +84,8 @@ def lines(designs: Sequence[PlannedDesign]) -> list[str]:
         made.append(f"{at:<18}{'now':<6}{_captures(one.own, one.own_groups):<46}{_precision(one.own_precision)}")
         made.append(f"{'':<18}{'best':<6}{_captures(one.best, one.best_groups):<46}{_precision(one.best_precision)}")
     made.append(
-        "(of one target and camera, 1.15 × Cramér–Rao, averaged over the expected amplitudes; time without settling)"
+        "(of one target and camera, 1.15 × Cramér–Rao and valleys of the phase, averaged over the expected amplitudes; "
+        "time without settling)"
     )
     return made
 
@@ -109,7 +104,8 @@ def _captures(design: CaptureDesign, groups: int) -> str:
 def _precision(precision: GroupPrecision) -> str:
     known = math.isfinite(precision.sd_phase_rad)
     phase = f"{math.degrees(precision.sd_phase_rad):.2f}°" if known else "–"
-    return f"{precision.sd_amplitude_mm:>9.4f}{phase:>10}{precision.seconds:>6.1f} s"
+    twins = f"   {precision.ambiguous:.0%} ambiguous" if precision.ambiguous > LEAST_AMBIGUOUS else ""
+    return f"{precision.sd_amplitude_mm:>9.4f}{phase:>10}{precision.seconds:>6.1f} s{twins}"
 
 
 def document(designs: Sequence[PlannedDesign]) -> list[dict[str, Any]]:

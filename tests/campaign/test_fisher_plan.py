@@ -10,15 +10,13 @@ import pytest
 
 from labdaemon.blur import DotImage, NoiseModel, light_fraction, predict_sd
 from labdaemon.campaign.campaign_file import Campaign, load_campaign
+from labdaemon.campaign.capture_design import Expectation, Goal, StepDesign
 from labdaemon.campaign.fisher_plan import (
     FIT_OVER_BOUND,
     LEAST_WHITE,
     MOST_WHITE,
     MOTION_PHASES,
     DesignSearch,
-    Expectation,
-    Goal,
-    StepDesign,
     default_goal,
     excitations,
     spread_amplitudes,
@@ -46,8 +44,10 @@ def campaign(extra: str = "", frequency_hz: str = "5.0") -> Campaign:
     )
 
 
-def search(goal: Goal, extra: str = "", lamp: Lamp | None = None) -> tuple[StepDesign, Expectation]:
-    expected = Expectation((1.5,), SMALL, QUIET, sd_opening_s=0.0)
+def search(
+    goal: Goal, extra: str = "", lamp: Lamp | None = None, amplitude_mm: float = 1.5
+) -> tuple[StepDesign, Expectation]:
+    expected = Expectation((amplitude_mm,), SMALL, QUIET, sd_opening_s=0.0)
     phase: Any = campaign(extra).section.phase[0]
     return DesignSearch(rig(lamp), expected, goal).best(phase, 5.0, 1.0), expected
 
@@ -62,7 +62,7 @@ def by_openings() -> tuple[StepDesign, Expectation]:
 
 @pytest.fixture(scope="module")
 def with_lamp() -> StepDesign:
-    return search("phase", PHASES, Lamp(levels=2))[0]
+    return search("phase", PHASES, Lamp(levels=2), amplitude_mm=2.5)[0]
 
 
 @pytest.mark.parametrize("which", ["own", "best"])
@@ -95,11 +95,17 @@ def test_the_paper_stays_between_dark_and_white_level(
 def test_a_lamp_is_used_where_it_knows_more_and_only_where_there_is_one(
     by_openings: tuple[StepDesign, Expectation], with_lamp: StepDesign
 ) -> None:
-    without, _ = by_openings
-    assert without.best.phase.light is None
+    assert by_openings[0].best.phase.light is None
     assert with_lamp.best.phase.light == "1110100"
     assert with_lamp.best.phase.phase_rad is None
-    assert with_lamp.best.precision.per_root_time("phase") < without.best.precision.per_root_time("phase")
+    assert with_lamp.best.precision.per_root_time("phase") < 0.8 * with_lamp.own.precision.per_root_time("phase")
+    assert with_lamp.best.precision.ambiguous < 0.05
+
+
+def test_a_code_whose_twins_the_image_does_not_exclude_is_not_chosen() -> None:
+    design, _ = search("phase", 'light = "1110100"\n', Lamp(levels=2))
+    assert design.own.precision.ambiguous > 0.2
+    assert design.best.phase.light is None
 
 
 def test_for_the_amplitude_alone_whole_cycles_need_no_phase() -> None:

@@ -61,9 +61,8 @@ def marginalise_phase(
     probability = np.exp(-cost / 2)
     value = in_phase_vectors(p[None])[0]
     # Other valleys of the phase are other motions, which are reported as alternatives.
-    near = probability
+    near, place = probability, int(np.argmin(np.abs(np.angle(np.exp(1j * (phases - p[4]))))))
     if profile.periodic:
-        place = int(np.argmin(np.abs(np.angle(np.exp(1j * (phases - p[4]))))))
         near = np.where(_wall_height(cost, place) > PHASE.barrier_cost, 0.0, probability)
     scatter = 2 * float(near @ (1 - np.cos(phases - p[4]))) / max(float(near.sum()), 1e-300)
     is_held = covariance[4, 4] < MIN_PHASE_VARIANCE
@@ -78,11 +77,14 @@ def marginalise_phase(
         bent = bool(covariance[4, 4] > part)
         return InPhaseMotion(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, bent)
     at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / max(covariance[4, 4], 1e-12)
-    if not profile.periodic:
-        # The profile's weights are those of independent noise: all its motions differ as the best one does.
-        others[:, :4] += p[:4] - unrefined[:4]
+    # The profile's weights are those of independent noise: all its motions differ as the one at the best phase does.
+    others[:, :4] += p[:4] - (others[place, :4] if profile.periodic else unrefined[:4])
     probability /= probability.sum()
     axis = probability @ others[:, :4]
+    if profile.periodic:
+        # Far below a pixel valleys are no parabolas, and their mean errs less than the most likely phase.
+        mean_phase = float(np.angle(near @ np.exp(1j * phases)))
+        value = in_phase_vectors(np.append(axis, mean_phase)[None])[0]
     total = _weighted_scatter(probability, in_phase_vectors(others) - value)
     for weight, phase in zip(probability, phases, strict=True):
         total += weight * _vector_jacobian(float(phase)) @ at_phase @ _vector_jacobian(float(phase)).T
