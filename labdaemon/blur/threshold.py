@@ -26,7 +26,7 @@ from labdaemon.blur.twins import TransferTable
 
 PHASES = 360
 """Phases over which the likelihood is summed."""
-DRAWS = 24
+DRAWS = 8
 """Draws of the noise for each motion."""
 _STEP = 0.02
 """Relative step of the amplitude for its derivative. Numerics."""

@@ -23,7 +23,6 @@ from labdaemon.blur import (
     ExposureWindow,
     FloatArray,
     LightCode,
-    PhaseScatter,
     light_fraction,
     motion_information,
     motion_vectors,
@@ -58,6 +57,8 @@ MOST_WHITE = 1.25
 """Paper brighter than this reaches the sensor's ceiling, where the campaign's own exposure gives 70 % of it."""
 FIT_OVER_BOUND = 1.15
 """What the fits reach over the bound: 1.0 to 1.3 (`labdaemon bench planned`)."""
+SCATTER_PHASES = 96
+"""Phases of the motion over which the scatter beyond the bound is averaged."""
 CURVED_RAD = 0.1
 """Bound of a phase under constant light from which other phases count as well: its likelihood is no parabola."""
 LIMIT_CYCLES = 0.05
@@ -82,7 +83,7 @@ class DesignSearch:
         self._rig = replace(rig, free_bytes=None)
         self._expectation, self._goal = expectation, goal
         self._known: dict[tuple[Any, ...], FloatArray] = {}
-        self._scatter: dict[tuple[Any, ...], PhaseScatter] = {}
+        self._scatter: dict[tuple[Any, ...], tuple[FloatArray, float]] = {}
 
     def best(self, phase: ExcitedPhase, frequency_hz: float, amplitude_mm: float) -> StepDesign:
         """The best captures at one excitation of a phase, next to the phase's own.
@@ -95,7 +96,7 @@ class DesignSearch:
         nominal_s = phase.exposure_s
         alone = _alone(phase, frequency_hz, amplitude_mm)
         own = self.design(alone, nominal_s)
-        found = [own]
+        bounded: list[CaptureDesign] = []
         seen = {_group_key(own.step)}
         for candidate in self._candidates(alone):
             try:
@@ -107,8 +108,14 @@ class DesignSearch:
             seen.add(_group_key(step))
             windows = self._windows(step)
             if self._is_usable(windows, nominal_s):
-                found.append(CaptureDesign(candidate, step, windows, self._precision(step, windows, nominal_s)))
-        best = min(found, key=lambda one: one.precision.per_root_time(self._goal))
+                bound = self._precision(step, windows, nominal_s, by_bound=True)
+                bounded.append(CaptureDesign(candidate, step, windows, bound))
+        best = own
+        for one in sorted(bounded, key=lambda one: one.precision.per_root_time(self._goal)):
+            if one.precision.per_root_time(self._goal) >= best.precision.per_root_time(self._goal):
+                break  # none of the others is better than its bound
+            whole = replace(one, precision=self._precision(one.step, one.windows, nominal_s))
+            best = min(best, whole, key=lambda one: one.precision.per_root_time(self._goal))
         groups = max(int(own.precision.seconds * phase.captures / best.precision.seconds + 1e-6), 1)
         return StepDesign(frequency_hz, amplitude_mm, own, best, phase.captures, groups)
 
@@ -171,7 +178,9 @@ class DesignSearch:
                 return False
         return True
 
-    def _precision(self, step: Step, windows: Sequence[ExposureWindow], nominal_s: float) -> GroupPrecision:
+    def _precision(
+        self, step: Step, windows: Sequence[ExposureWindow], nominal_s: float, *, by_bound: bool = False
+    ) -> GroupPrecision:
         expected = self._expectation
         logs, ambiguous = list[FloatArray](), list[float]()
         for amplitude_mm in expected.amplitudes_mm:
@@ -185,7 +194,12 @@ class DesignSearch:
                 )
                 found = sd_of_information(information, amplitude_px, phase_rad)
                 bounds.append((found.amplitude_px, found.phase_rad))
-            squares, share = self._with_scatter(windows, amplitude_px, np.array(phases), np.array(bounds), nominal_s)
+            squares, share = (FIT_OVER_BOUND * np.array(bounds)) ** 2, 0.0
+            if not by_bound:
+                added, share = self._scatter_beyond(
+                    windows, amplitude_px, np.array(phases), np.array(bounds)[:, 1], nominal_s
+                )
+                squares = squares + added
             logs.append(0.5 * np.log(np.mean(squares, axis=0)))
             ambiguous.append(share)
         sds = np.exp(np.mean(logs, axis=0))
@@ -194,28 +208,30 @@ class DesignSearch:
             float(sds[0]) / expected.scale.px_per_mm, float(sds[1]), seconds, float(np.mean(ambiguous))
         )
 
-    def _with_scatter(
+    def _scatter_beyond(
         self,
         windows: Sequence[ExposureWindow],
         amplitude_px: float,
         phases_rad: FloatArray,
-        bounds: FloatArray,
+        bounds_rad: FloatArray,
         nominal_s: float,
     ) -> tuple[FloatArray, float]:
-        """(n, 2) variances of amplitude and phase by the bounds and by the valleys beyond, and the ambiguous share."""
-        squares = (FIT_OVER_BOUND * bounds) ** 2
+        """(2,) mean variances of amplitude and phase that the bounds do not know of, and the ambiguous share."""
         is_coded = any(one.light for one in windows)
-        if not np.isfinite(bounds).all() or not (is_coded or bounds[:, 1].max() > CURVED_RAD):
-            return squares, 0.0
+        if not np.isfinite(bounds_rad).all() or not (is_coded or bounds_rad.max() > CURVED_RAD):
+            return np.zeros(2), 0.0
         brightness = round(windows[0].exposure_s / nominal_s, 3)
         timing = tuple((round(one.cycles, 4), one.light, one.phase_rad) for one in windows)
         key = (*timing, brightness, round(amplitude_px, 4))
         if key not in self._scatter:
-            dot = self._expectation.image(brightness)
-            self._scatter[key] = predict_scatter(windows, amplitude_px, phases_rad, bounds[:, 1], dot)
-        scatter = self._scatter[key]
-        beyond = np.maximum(scatter.phase_rad**2 - bounds[:, 1] ** 2, 0.0)
-        return squares + np.stack((scatter.amplitude_px**2, beyond), axis=1), float(scatter.ambiguous.mean())
+            # Few phases have neighbours, and those have most of the scatter: many phases, few draws of each.
+            fine = (np.arange(SCATTER_PHASES) + 0.5) * np.pi / SCATTER_PHASES
+            bound = np.exp(np.interp(fine, phases_rad, np.log(bounds_rad), period=np.pi))
+            scatter = predict_scatter(windows, amplitude_px, fine, bound, self._expectation.image(brightness))
+            beyond = np.maximum(scatter.phase_rad**2 - bound**2, 0.0)
+            added = np.mean((scatter.amplitude_px**2, beyond), axis=1)
+            self._scatter[key] = added, float(scatter.ambiguous.mean())
+        return self._scatter[key]
 
     def _information(
         self, window: ExposureWindow, amplitude_px: float, phase_rad: float, nominal_s: float
