@@ -216,6 +216,8 @@ class TargetsSection(TomlSection):
     """One size, or a list of the sizes in use."""
     file: Written | None = None
     """Approximate places of the targets (``name,x_mm,y_mm,z_mm``), relative to the rig file."""
+    patches: Written | None = None
+    """Textured patches in the sharp frames (``name,camera,x_px,y_px,width_px,height_px``), relative to the rig file."""
 
 
 class ControlSection(TomlSection):

@@ -36,6 +36,7 @@ DESCRIBED = {
     "rig.toml": "cameras, target size and control of the rig",
     "control.csv": "surveyed control targets, mm",
     "targets.csv": "approximate places of the monitoring targets, mm",
+    "patches.csv": "textured patches in the sharp frames, px",
     "campaign.toml": "the campaign as it was submitted",
     "envelope.csv": "vibration envelopes: position and motion of every target, mm, with sd and flags",
     "measurements.csv": "motion of every target in every photograph, px",

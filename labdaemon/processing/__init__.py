@@ -37,7 +37,7 @@ from labdaemon.processing.results_place import FILES, RESULTS, Stamp, stamps
 from labdaemon.processing.run import FolderResult, jobs, process_folder
 from labdaemon.processing.sharpset import SharpSet, prepare_sharp
 from labdaemon.processing.shift import frame_shift
-from labdaemon.processing.survey import read_control, read_targets
+from labdaemon.processing.survey import read_control, read_patches, read_targets
 from labdaemon.processing.tables import (
     ENVELOPE_COLUMNS,
     MEASUREMENT_COLUMNS,
@@ -96,6 +96,7 @@ __all__ = [
     "read_board",
     "read_control",
     "read_csv",
+    "read_patches",
     "read_targets",
     "sharp_sets",
     "shows_phase",

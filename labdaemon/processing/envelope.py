@@ -27,7 +27,16 @@ from labdaemon.processing.sharpset import SharpSet
 from labdaemon.processing.tables import Row, envelope_row, measurement_row
 
 SPOILING_FLAGS = frozenset(
-    {Flag.NOT_FOUND, Flag.SATURATED, Flag.OCCLUDED, Flag.PAPER_EDGE, Flag.POOR_FIT, Flag.AMBIGUOUS}
+    {
+        Flag.NOT_FOUND,
+        Flag.SATURATED,
+        Flag.OCCLUDED,
+        Flag.PAPER_EDGE,
+        Flag.POOR_FIT,
+        Flag.AMBIGUOUS,
+        Flag.UNDETERMINED,
+        Flag.MIXED_MOTION,
+    }
 )
 """Flags for which a camera is left out where two others see a target without them."""
 ORBIT_AXIS_RATIO = 0.02
@@ -203,7 +212,10 @@ def _intersect_in_space(
 ) -> dict[str, ObjectMotion]:
     """Intersect the rays of several cameras."""
     image_motions = {
-        target: {camera: _image_motion(one) for camera, one in _select_clean(seen).items()}
+        target: {
+            camera: _image_motion(one, sharp.sd_point_px.get(target, 0.0))
+            for camera, one in _select_clean(seen).items()
+        }
         for target, seen in by_target.items()
     }
     joined = intersect_targets(views, image_motions, covariance=sharp.covariance, evidence=evidence)
@@ -231,16 +243,18 @@ def _sign(
     return 0 if len(signs) > 1 else decide_sign(sum(turned))
 
 
-def _image_motion(measurement: Measurement) -> ImageMotion:
+def _image_motion(measurement: Measurement, sd_point_px: float = 0.0) -> ImageMotion:
+    """A camera's measurement; `sd_point_px` is how well its place shows the same point as the other cameras'."""
+    point = np.diag([sd_point_px**2] * 2 + [0.0] * 4)
     return ImageMotion(
         measurement.centre_px,
         measurement.a_px,
         measurement.b_px,
-        measurement.covariance_px2,
+        measurement.covariance_px2 + point,
         measurement.phased,
-        None if measurement.axes is None else _image_motion(measurement.axes),
+        None if measurement.axes is None else _image_motion(measurement.axes, sd_point_px),
         tuple(
-            ImageMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2, True, excess=one.excess)
+            ImageMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2 + point, True, excess=one.excess)
             for one in measurement.alternatives
         ),
     )

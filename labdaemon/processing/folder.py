@@ -21,7 +21,14 @@ from labdaemon.errors import ConfigError, DataError, UsageError
 from labdaemon.events import GaugeMotion
 from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_unknown_keys
-from labdaemon.processing.survey import SurveyedPoint, TargetPlace, read_control, read_targets
+from labdaemon.processing.survey import (
+    PatchBox,
+    SurveyedPoint,
+    TargetPlace,
+    read_control,
+    read_patches,
+    read_targets,
+)
 
 NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
 SAME_FREQUENCY = 1e-3
@@ -166,6 +173,7 @@ class DataFolder:
     rig: RigFile
     control: tuple[SurveyedPoint, ...]
     targets: tuple[TargetPlace, ...]
+    patches: tuple[PatchBox, ...] = ()
 
     def sharp(self, name: str | None = None) -> SharpFiles:
         """Files of a sharp set: the named one, else the flat one.
@@ -258,10 +266,11 @@ def open_folder(root: Path) -> DataFolder:
     rig = read_rig(root / "rig.toml")
     check_family(rig.control.family, root / "rig.toml")
     control = read_control(root / "control.csv", rig.control.size_mm)
-    places = root / "targets.csv"
-    return DataFolder(
-        root, rig, control, read_targets(places, control, rig.control.size_mm) if os.path.exists(places) else ()
-    )
+    places, boxes = root / "targets.csv", root / "patches.csv"
+    targets = read_targets(places, control, rig.control.size_mm) if os.path.exists(places) else ()
+    taken = [*(point.name for point in control), *(target.name for target in targets)]
+    patches = read_patches(boxes, tuple(rig.cameras), taken) if os.path.exists(boxes) else ()
+    return DataFolder(root, rig, control, targets, patches)
 
 
 def check_frequencies(folder: DataFolder, captures: Sequence[str], group: str) -> None:

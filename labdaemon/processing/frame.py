@@ -157,13 +157,13 @@ def measure_raw(
 
 
 def _locate_in(camera: PreparedCamera, frame: RawFrame, grey: LazyImage, shift: FrameShift) -> LocatedTargets:
-    if camera.thumbnails:
-        return LocatedTargets(frame, shift, locate_patches(grey, camera.centres_px, camera.thumbnails))
-    moved = shift.at(camera.centres_px)
+    dots = len(camera.expected)
+    moved = shift.at(camera.centres_px[:dots])
     expected_targets = [
         replace(one, centre_px=one.centre_px + d) for one, d in zip(camera.expected, moved, strict=True)
     ]
-    return LocatedTargets(frame, shift, locate_targets(grey, expected_targets))
+    patches = locate_patches(grey, camera.centres_px[dots:], camera.thumbnails)
+    return LocatedTargets(frame, shift, [*locate_targets(grey, expected_targets), *patches])
 
 
 def _camera_motion(
@@ -231,8 +231,9 @@ def _measure_one(
         result[index] = replace(one, flags=one.flags | {Flag.PART_CYCLES}) if seen else one
     # What was not found may be where its neighbours say, behind something, or with the end of its label in its blur.
     # Anything else there is not this target.
-    rest_px = camera.centres_px + located.shift.at(camera.centres_px)
-    expected = predict_missing(rest_px, located.smears)
+    dots = len(camera.expected)
+    rest_px = camera.centres_px[:dots] + located.shift.at(camera.centres_px[:dots])
+    expected = predict_missing(rest_px, located.smears[:dots])
     missing = replace(located, smears=[expected.get(index) for index in range(len(camera.targets))])
     for index, one in measure_smears(camera, missing, window, laws, waveform.harmonic).items():
         on_label = camera.targets[index].outline is not None and bool(np.isfinite(one.a_px).all())

@@ -15,7 +15,6 @@ from labdaemon.blur import (
     Patch,
     SharpTarget,
     fit_sharp,
-    make_textured_patch,
     solved,
     unmeasurable_target,
 )
@@ -25,7 +24,8 @@ from labdaemon.geometry import Lens, Orientation, OrientedCamera, orient
 from labdaemon.imaging import RawFrame, find_dots, mean_frame, read_frame
 from labdaemon.processing.control import TAG_FAMILY, ControlTargets, find_control, surveyed_outlines
 from labdaemon.processing.naming import names_in_image
-from labdaemon.processing.survey import SurveyedPoint
+from labdaemon.processing.patches import cut_patches, without_patches
+from labdaemon.processing.survey import PatchBox, SurveyedPoint
 from labdaemon.processing.target_search import ExpectedTarget, measure_contrast
 from labdaemon.processing.thumbnails import Thumbnail
 
@@ -77,9 +77,9 @@ class PreparedCamera:
     image_size
         (width, height).
     targets
-        The dots, or textures, at rest.
+        The dots at rest, and after them the textured patches.
     expected
-        The same targets as the search in blurred frames wants them; empty for textures, which have `thumbnails`.
+        The dots as the search in blurred frames wants them.
     control
         Its control targets.
     orientation
@@ -110,6 +110,16 @@ class PreparedCamera:
         return np.array([target.centre_px for target in self.targets]).reshape(-1, 2)
 
     @property
+    def dot_targets(self) -> tuple[SharpTarget, ...]:
+        """Those that are dots."""
+        return self.targets[: len(self.expected)]
+
+    @property
+    def patch_targets(self) -> tuple[SharpTarget, ...]:
+        """Those that are textured patches."""
+        return self.targets[len(self.expected) :]
+
+    @property
     def view(self) -> OrientedCamera:
         """Where it stands; only for a camera that was oriented."""
         if self.orientation is None:
@@ -117,10 +127,11 @@ class PreparedCamera:
         return self.orientation.camera
 
     def renamed(self, keep: Sequence[int], names: Sequence[str]) -> PreparedCamera:
-        """The same camera with only these targets, in this order, under these names."""
+        """The same camera with only these dots, in this order, under these names, and its patches."""
         targets = tuple(replace(self.targets[i], name=name) for i, name in zip(keep, names, strict=True))
         dots = tuple(self.dots[i] for i in keep) if self.dots else ()
-        return replace(self, targets=targets, expected=tuple(self.expected[i] for i in keep), dots=dots)
+        expected = tuple(self.expected[i] for i in keep)
+        return replace(self, targets=targets + self.patch_targets, expected=expected, dots=dots)
 
 
 def prepare_camera(
@@ -130,6 +141,7 @@ def prepare_camera(
     at_rest: bool = True,
     survey: CameraSurvey | None = None,
     keep_dots: bool = False,
+    patches: Sequence[PatchBox] = (),
 ) -> PreparedCamera:
     """Find and fit targets and control targets in a camera's sharp frames, and orient it.
 
@@ -145,19 +157,27 @@ def prepare_camera(
         Lens and surveyed control targets; None to work in pixels alone.
     keep_dots
         Keep what the published method needs.
+    patches
+        Textured patches to measure besides dots, which then may be none.
 
     Raises
     ------
     DataError
-        A frame cannot be read or has another size; no dots; too few control targets, or ones that do not fit.
+        A frame cannot be read or has another size; no dots and no patches; too few control targets, or ones that do
+        not fit; a patch that cannot be used.
     """
     size = survey.lens.image_size if survey is not None else None
     frames = [read_frame(file, expect_size=size) for file in (files if at_rest else files[:1])]
-    return prepare_frames(name, frames, survey=survey, keep_dots=keep_dots)
+    return prepare_frames(name, frames, survey=survey, keep_dots=keep_dots, patches=patches)
 
 
 def prepare_frames(
-    name: str, frames: Sequence[RawFrame], *, survey: CameraSurvey | None = None, keep_dots: bool = False
+    name: str,
+    frames: Sequence[RawFrame],
+    *,
+    survey: CameraSurvey | None = None,
+    keep_dots: bool = False,
+    patches: Sequence[PatchBox] = (),
 ) -> PreparedCamera:
     """Prepare a camera from sharp frames of one set that are already read; otherwise as `prepare_camera`."""
     file = frames[0].path
@@ -178,7 +198,8 @@ def prepare_frames(
     dots = find_dots(grey, diameter_range_px=sizes, exclude=taken)
     if not dots and sizes != ORDINARY_PX:
         dots = find_dots(grey, exclude=taken)  # of other sizes than the rig file says: for a better message
-    if not dots:
+    dots, notes = without_patches(name, dots, patches, control, frame)
+    if not dots and not patches:
         cause = f"; {frame.notes[0]}" if frame.notes else ""
         raise DataError(
             f"no dots found in this sharp frame: dark discs of 12 to 200 px on white paper are needed{cause}",
@@ -186,26 +207,30 @@ def prepare_frames(
         )
     fitted = [(dot, _fit_or_flag(dot, frames)) for dot in dots]
     if not any(target.usable for _, target in fitted):
-        raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
+        if not patches:
+            raise DataError("none of its dots can be measured: too dark, too light or not sharp", file=file)
+        fitted = []
     usable = _flag_blurred_set(fitted)
+    textures = cut_patches(frames, grey, patches)
     plain = [ExpectedTarget(t.centre_px, d.semi_major_px, d.semi_minor_px, d.angle_rad, 1.0) for d, t in usable]
     contrast = measure_contrast(frame.lazy_grey(), plain)
     return PreparedCamera(
         name,
         file,
         frame.size,
-        tuple(target for _, target in usable),
+        (*(target for _, target in usable), *(target for target, _ in textures)),
         tuple(replace(one, contrast=float(c)) for one, c in zip(plain, contrast, strict=True)),
         control,
         orientation,
+        thumbnails=tuple(thumbnail for _, thumbnail in textures),
         dots=tuple((dot, _cut_dot(dot, frames[0])) for dot, _ in usable) if keep_dots else (),
-        notes=frame.notes,
+        notes=(*frame.notes, *notes),
     )
 
 
 def name_dots(camera: PreparedCamera) -> PreparedCamera:
     """The same camera with its dots named by their place in the image, in reading order."""
-    names = names_in_image(camera.centres_px)
+    names = names_in_image(camera.centres_px[: len(camera.expected)])
     order = sorted(range(len(names)), key=names.__getitem__)
     return camera.renamed(order, [names[index] for index in order])
 
@@ -230,35 +255,17 @@ def prepare_patches(files: Sequence[Path], boxes: Sequence[tuple[int, int, int, 
 
 def prepare_patch_frames(frames: Sequence[RawFrame], boxes: Sequence[tuple[int, int, int, int]]) -> PreparedCamera:
     """Prepare patches of sharp frames that are already read; otherwise as `prepare_patches`."""
-    file = frames[0].path
     frame = mean_frame(frames)
-    width, height = frame.size
-    targets = []
-    for number, (x, y, w, h) in enumerate(boxes, start=1):
-        if x < 0 or y < 0 or x + w > width or y + h > height:
-            raise DataError(f"patch {x},{y},{w},{h} does not lie inside the frame of {width}x{height} px", file=file)
-        # What lies outside the box is blurred into it.
-        reach = max(16, min(64, max(w, h) // 2))
-        x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
-        cuts = [f.patch(x0, y0, x1 - x0, y1 - y0) for f in frames]
-        target = solved(make_textured_patch)(cuts, (x, y, w, h), name=f"P{number:02d}")
-        if target is None:
-            raise DataError(
-                f"patch {x},{y},{w},{h} cannot be used: its sharp image has no values that can be interpolated; choose "
-                "one that is neither clipped nor empty",
-                file=file,
-            )
-        targets.append(target)
-    grey = frame.grey()
-    thumbnails = tuple(Thumbnail.cut(grey, box) for box in boxes)
+    patches = [PatchBox(f"P{number:02d}", "", *box) for number, box in enumerate(boxes, start=1)]
+    textures = cut_patches(frames, frame.grey(), patches)
     return PreparedCamera(
         "",
-        file,
+        frames[0].path,
         frame.size,
-        tuple(targets),
+        tuple(target for target, _ in textures),
         (),
         ControlTargets(TAG_FAMILY),
-        thumbnails=thumbnails,
+        thumbnails=tuple(thumbnail for _, thumbnail in textures),
         notes=frame.notes,
     )
 

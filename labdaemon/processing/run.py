@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labdaemon.errors import ConfigError, DataError
@@ -116,7 +116,7 @@ def process_folder(
     if method is not None:
         settings = opened.rig.processing.model_copy(update={"method": method})
         rig = opened.rig.model_copy(update={"processing": settings})
-        opened = DataFolder(opened.root, rig, opened.control, opened.targets)
+        opened = replace(opened, rig=rig)
     todo = jobs(opened)
     tell = progress or (lambda _what, _done, _of: None)
     with contextlib.nullcontext(pool) if pool is not None else WorkerPool() as workers:

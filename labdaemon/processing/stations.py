@@ -23,7 +23,7 @@ TIE = "dot "
 def detected_dots(camera: PreparedCamera) -> DetectedDots:
     """A camera's dots at rest, for matching."""
     radius = np.array([target.semi_major_px for target in camera.expected])
-    return DetectedDots(camera.view, camera.centres_px, radius)
+    return DetectedDots(camera.view, camera.centres_px[: len(radius)], radius)
 
 
 def excluded(camera: PreparedCamera) -> list[str]:

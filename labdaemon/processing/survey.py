@@ -1,9 +1,10 @@
-"""`control.csv` and `targets.csv`: surveyed and approximate places in object space."""
+"""`control.csv`, `targets.csv` and `patches.csv`: surveyed and approximate places, and boxes in the sharp frames."""
 
 from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -32,7 +33,30 @@ class TargetPlace:
     z_mm: float
 
 
-def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[str, list[float]]]:
+@dataclass(frozen=True, slots=True)
+class PatchBox:
+    """Rectangle of a camera's sharp frame that shows a textured surface, px."""
+
+    name: str
+    camera: str
+    x_px: int
+    y_px: int
+    width_px: int
+    height_px: int
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """(x, y, width, height)."""
+        return self.x_px, self.y_px, self.width_px, self.height_px
+
+    @property
+    def place(self) -> str:
+        """The rectangle as a person writes it."""
+        return ",".join(str(number) for number in self.box)
+
+
+def _rows(path: Path, columns: tuple[str, ...], names: int = 1) -> list[tuple[tuple[str, ...], list[float]]]:
+    """Rows of a CSV file: the first `names` columns, which together are unique, as text, the others as numbers."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -47,25 +71,26 @@ def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[str, list[float]]]
     reader.fieldnames = header
     rows, seen = [], set()
     for row in reader:
-        name = (row["name"] or "").strip()
-        where = f"line {reader.line_num}"
-        if not name:
-            raise DataError(f"{where}: a name is missing", file=path)
-        if name in seen:
+        texts = tuple((row[column] or "").strip() for column in columns[:names])
+        where, name = f"line {reader.line_num}", " ".join(texts)
+        for column, text in zip(columns, texts, strict=False):
+            if not text:
+                raise DataError(f"{where}: a {column} is missing", file=path)
+        if texts in seen:
             raise DataError(f"{where}: {name} is given twice", file=path)
-        seen.add(name)
+        seen.add(texts)
         if None in row:
             raise DataError(
                 f"{where}: {name} has more values than the header has columns; write decimal points, not commas",
                 file=path,
             )
         try:
-            values = [float(row[column]) for column in columns[1:]]
+            values = [float(row[column]) for column in columns[names:]]
         except (TypeError, ValueError):
-            raise DataError(f"{where}: {name} needs numbers in {', '.join(columns[1:])}", file=path) from None
+            raise DataError(f"{where}: {name} needs numbers in {', '.join(columns[names:])}", file=path) from None
         if not all(math.isfinite(value) for value in values):
             raise DataError(f"{where}: {name} has a number that is not finite", file=path)
-        rows.append((name, values))
+        rows.append((texts, values))
     return rows
 
 
@@ -85,7 +110,7 @@ def read_control(path: Path, size_mm: float) -> tuple[SurveyedPoint, ...]:
         The file is missing or malformed, has fewer than four points, a negative uncertainty, or is in metres.
     """
     points = tuple(
-        SurveyedPoint(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm", "sd_mm"))
+        SurveyedPoint(name, *values) for (name,), values in _rows(path, ("name", "x_mm", "y_mm", "z_mm", "sd_mm"))
     )
     if len(points) < 4:
         raise DataError(f"{len(points)} control targets; at least 4 are needed", file=path)
@@ -124,7 +149,7 @@ def read_targets(path: Path, control: tuple[SurveyedPoint, ...], size_mm: float 
         The file is malformed or empty, or lies within a hand's breadth where the control spans much more: metres. A
         target has the name or the place of a control target.
     """
-    places = tuple(TargetPlace(name, *values) for name, values in _rows(path, ("name", "x_mm", "y_mm", "z_mm")))
+    places = tuple(TargetPlace(name, *values) for (name,), values in _rows(path, ("name", "x_mm", "y_mm", "z_mm")))
     if not places:
         raise DataError("names no targets; fill it or remove it", file=path)
     names = {point.name for point in control}
@@ -148,3 +173,37 @@ def read_targets(path: Path, control: tuple[SurveyedPoint, ...], size_mm: float 
     if len(places) > 1 and 0 < reach < span / 100:
         raise DataError(f"all targets lie within {reach:.3g} mm of the origin; are the coordinates metres?", file=path)
     return places
+
+
+def read_patches(path: Path, cameras: Sequence[str], taken: Sequence[str] = ()) -> tuple[PatchBox, ...]:
+    """Read the textured patches that are measured instead of dots, or with them.
+
+    Parameters
+    ----------
+    path
+        CSV with columns name, camera, x_px, y_px, width_px, height_px: a row for each camera that sees the patch.
+    cameras
+        The rig's.
+    taken
+        Names of control targets and of other targets.
+
+    Raises
+    ------
+    DataError
+        The file is malformed or empty, names a camera that the rig does not have, has a number that is no whole one, a
+        box without area, or a name that is in use.
+    """
+    boxes = []
+    for (name, camera), values in _rows(path, ("name", "camera", "x_px", "y_px", "width_px", "height_px"), names=2):
+        if camera not in cameras:
+            raise DataError(f"{name}: the rig has no camera {camera}; it has {', '.join(cameras)}", file=path)
+        if name in taken:
+            raise DataError(f"{name} is the name of another target; give the patch a name of its own", file=path)
+        if any(value != int(value) for value in values) or min(values[:2]) < 0 or min(values[2:]) < 1:
+            raise DataError(
+                f"{name}: x_px, y_px, width_px and height_px are whole pixels inside the sharp frame", file=path
+            )
+        boxes.append(PatchBox(name, camera, *(int(value) for value in values)))
+    if not boxes:
+        raise DataError("names no patches; fill it or remove it", file=path)
+    return tuple(boxes)

@@ -13,7 +13,7 @@ from labdaemon.processing import NOT_FRAMES
 from labdaemon.tomlfile import read_toml
 from labdaemon.version import __version__
 
-WRITTEN = ("rig.toml", "control.csv", "targets.csv", "campaign.toml")
+WRITTEN = ("rig.toml", "control.csv", "targets.csv", "patches.csv", "campaign.toml")
 """Files of a data-set folder that a person wrote."""
 
 

@@ -239,17 +239,21 @@ def _check_driver(
 
 
 def _check_files(rig: RigConfig) -> None:
-    from labdaemon.processing import check_family, read_control, read_targets
+    from labdaemon.processing import check_family, read_control, read_patches, read_targets
 
     check_family(rig.control.family, rig.source)
     named = [("control.file", rig.control.file), ("targets.file", rig.targets.file)]
+    named.append(("targets.patches", rig.targets.patches))
     named.append(("shaker.calibration", rig.shaker.calibration if rig.shaker else None))
     for key, written in named:
         if written is not None and not os.path.isfile(rig.path(written)):
             raise ConfigError(f"{rig.path(written)} is not there", source=rig.source, key=key)
     control = read_control(rig.path(rig.control.file), rig.control.size_mm)
+    taken = [point.name for point in control]
     if rig.targets.file is not None:
-        read_targets(rig.path(rig.targets.file), control, rig.control.size_mm)
+        taken += [one.name for one in read_targets(rig.path(rig.targets.file), control, rig.control.size_mm)]
+    if rig.targets.patches is not None:
+        read_patches(rig.path(rig.targets.patches), tuple(rig.cameras), taken)
 
 
 def _check_servers(rig: RigConfig) -> None:

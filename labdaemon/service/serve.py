@@ -261,6 +261,8 @@ def _folder_files(config: RigConfig) -> dict[str, str]:
     }
     if config.targets.file is not None:
         files["targets.csv"] = config.path(config.targets.file).read_text(encoding="utf-8")
+    if config.targets.patches is not None:
+        files["patches.csv"] = config.path(config.targets.patches).read_text(encoding="utf-8")
     return files
 
 
