@@ -20,6 +20,7 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.member_agreement import flag_contradiction
+from labdaemon.blur.smear.mixed_motion import flag_mixed_motion
 from labdaemon.blur.unsolvable import flag_unsolvable
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
@@ -87,7 +88,8 @@ def measure_group(
     if isinstance(frame_set, Measurement):
         return frame_set
     frame_set, fitted = fit_with_harmonics(frame_set, harmonics)
-    return flag_contradiction(phased_measurement(frame_set, fitted), frame_set, fitted.solution)
+    found = flag_mixed_motion(phased_measurement(frame_set, fitted), frame_set, fitted.solution)
+    return flag_contradiction(found, frame_set, fitted.solution)
 
 
 def _average_whole_cycles(

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from labdaemon.blur import ExposureWindow
+from labdaemon.cli.exposure_options import exposure_options, exposure_windows
 from labdaemon.cli.progress_bars import ProgressBars, print_notes
 from labdaemon.errors import UsageError
 from labdaemon.processing import (
@@ -54,9 +54,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--patch", "patches", multiple=True, type=PatchBox(), help="Measure this part, whatever it shows.")
 @click.option("--out", type=_FILE, help="CSV file to write; standard output if not given.")
 @click.option("--method", type=click.Choice(["fit", "paper"]), default="fit", show_default=True)
-@click.option("--frequency", type=click.FloatRange(min=0, min_open=True), help="Of the excitation, hertz.")
-@click.option("--exposure", type=click.FloatRange(min=0, min_open=True), help="True exposure time, seconds.")
-@click.option("--phase", type=float, help="Excitation phase at the opening, radians.")
+@exposure_options
 @click.option("--overlay", type=click.Path(file_okay=False, path_type=Path), help="Folder for overlay images.")
 def measure(
     blurred: tuple[Path, ...],
@@ -64,13 +62,13 @@ def measure(
     patches: tuple[Box, ...],
     out: Path | None,
     method: str,
-    frequency: float | None,
-    exposure: float | None,
-    phase: float | None,
     overlay: Path | None,
+    phase_rad: tuple[float, ...],
+    light: tuple[str, ...],
+    **exposure: float | None,
 ) -> None:
     """Measure every dot of the sharp frame (or each --patch of it) in the BLURRED frames, in pixels."""
-    window = _window(frequency, exposure, phase)
+    windows, grouped = exposure_windows(blurred, phase_rad, light, **exposure)
     stems = Counter(path.stem for path in blurred)
     twice = [stem for stem, times in stems.items() if times > 1]
     if twice:
@@ -85,29 +83,22 @@ def measure(
         bars("sharp frames", 1, 1)
         rows: list[Row] = []
         notes = list(camera.notes)
-        for done, path in enumerate(blurred, start=1):
-            result = measure_frames(camera, [path], [window], method=method)
-            mine = [measurement_row(path.stem, "", one) for one in result.measurements]
+        together = [(blurred, windows)] if grouped else [((f,), [w]) for f, w in zip(blurred, windows, strict=True)]
+        for done, (files, known) in enumerate(together, start=1):
+            result = measure_frames(camera, files, known, method=method)
+            name = "+".join(path.stem for path in files)
+            mine = [measurement_row(name, "", one) for one in result.measurements]
             rows += mine
             notes += result.notes
             if overlay is not None:
-                write_overlay(path, mine, overlay_path(overlay, path.stem, ""), path.stem)
-            bars("blurred frames", done, len(blurred))
+                write_overlay(files[-1], mine, overlay_path(overlay, name, ""), name)
+            bars("blurred frames", done, len(together))
     if out is None:
         click.echo(csv_text(MEASUREMENT_COLUMNS, rows), nl=False)
     else:
         write_csv(out, MEASUREMENT_COLUMNS, rows)
     _summary(rows, console, out)
     print_notes(console, notes)
-
-
-def _window(frequency: float | None, exposure: float | None, phase: float | None) -> ExposureWindow | None:
-    if frequency is None and exposure is None and phase is None:
-        return None
-    if frequency is None or exposure is None:
-        missing = "--frequency" if frequency is None else "--exposure"
-        raise UsageError(f"{missing} is missing: an exposure is known by frequency and exposure time together")
-    return ExposureWindow(frequency, exposure, phase)
 
 
 def _summary(rows: list[Row], console: Console, out: Path | None) -> None:

@@ -18,7 +18,7 @@ from labdaemon.processing.excitation_facts import (
     shows_phase,
     table_motion,
 )
-from labdaemon.processing.folder import NOT_FRAMES, DataFolder, open_folder, sharp_sets
+from labdaemon.processing.folder import NOT_FRAMES, CaptureFile, DataFolder, open_folder, sharp_sets
 from labdaemon.processing.frame import measure_frames, measure_raw
 from labdaemon.processing.frame_size import check_frame_sizes
 from labdaemon.processing.matched_filter import BlurredTarget
@@ -57,6 +57,7 @@ __all__ = [
     "BlurredTarget",
     "CameraCalibration",
     "CaptureFacts",
+    "CaptureFile",
     "CaptureResult",
     "CharucoBoard",
     "DataFolder",

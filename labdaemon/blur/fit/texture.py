@@ -9,7 +9,6 @@ import numpy as np
 from labdaemon.blur.defocus_settings import DEFOCUS
 from labdaemon.blur.fit.accelerated import nearest_straight_path
 from labdaemon.blur.fit.direct import SquaredAxes, clip_defocus, fit_orbit, orbit_bounds
-from labdaemon.blur.fit.mixed_motion import motion_varies
 from labdaemon.blur.motion import Defocus, Measurement, empty_measurement
 from labdaemon.blur.patch.pixels import FloatArray, Patch
 from labdaemon.blur.settings import UNCERTAINTY
@@ -20,6 +19,7 @@ from labdaemon.blur.sharp.weights import nuisance_prior
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.errors_in_variables import TextureEquations, TextureFit, fit_texture
 from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
+from labdaemon.blur.smear.mixed_motion import motion_varies
 from labdaemon.blur.smear.uncertainty import (
     covariance_at_rest,
     quality_flags,

@@ -13,6 +13,7 @@ from labdaemon.blur.phase.orbits import perpendicular
 from labdaemon.blur.phase.posterior import InPhaseMotion
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet
+from labdaemon.blur.smear.mixed_motion import flag_mixed_motion
 from labdaemon.blur.smear.uncertainty import quality_flags
 from labdaemon.flags import Flag
 from labdaemon.orbit_axes import orient_positive, principal_axes
@@ -27,7 +28,8 @@ def measure_known_window(
     `measure_group`. Under coded light it is.
     """
     frame_set, found = fit_with_harmonics(frame_set, harmonics, orbit=orbit)
-    return phased_measurement(frame_set, found) if window.is_coded else drop_phase(frame_set.sharp, found)
+    seen = phased_measurement(frame_set, found) if window.is_coded else drop_phase(frame_set.sharp, found)
+    return flag_mixed_motion(seen, frame_set, found.solution)
 
 
 def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:

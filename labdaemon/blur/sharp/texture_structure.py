@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+from numpy.typing import NDArray
+from scipy import fft, ndimage
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
@@ -46,9 +47,7 @@ def texture_structure(form: TexturedPatch, noise_variance: float) -> TextureStru
     """
     dark = form.dark.mean(axis=0)
     gradient = np.stack([_smooth_derivative(dark, axis) for axis in (1, 0)])
-    width, height = form.box_size_px
-    left, top = (int(v) for v in np.rint(form.centre_in_dark_px - (np.array([width, height]) - 1) / 2))
-    inside = gradient[:, max(top, 0) : top + height, max(left, 0) : left + width].reshape(2, -1)
+    inside = _box(form, gradient).reshape(2, -1)
     inside = inside - inside.mean(axis=1, keepdims=True)  # a gradient of the light is no texture
     tensor = inside @ inside.T / inside.shape[1]
     impulse = np.zeros((31, 31))
@@ -62,6 +61,63 @@ def texture_structure(form: TexturedPatch, noise_variance: float) -> TextureStru
     least = np.maximum(TEXTURE.structure_sds * scatter, TEXTURE.min_relative_gradient**2 * values[1])
     shows = clear > least
     return TextureStructure(vectors[:, 1], vectors[:, 0], bool(shows[1]), bool(shows[0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextureBand:
+    """Spatial frequencies of an image's half-plane transform that its samples determine, weighed by the texture there.
+
+    Attributes
+    ----------
+    places
+        (h, w // 2 + 1) True where they are.
+    fx, fy
+        (f,) frequencies, cycles a pixel.
+    weight
+        (f,) S/(S + N) by the power of texture and noise, doubled where the transform leaves out the mirror image.
+    count
+        Number of frequencies of the whole plane: white noise of unit variance has as much power as it has pixels.
+    """
+
+    places: NDArray[np.bool_]
+    fx: FloatArray
+    fy: FloatArray
+    weight: FloatArray
+    count: float
+
+
+def texture_band(form: TexturedPatch, shape: tuple[int, ...], noise_variance: float) -> TextureBand:
+    """Weights of spatial frequencies for images of some (h, w).
+
+    Parameters
+    ----------
+    form
+        The sharp patch.
+    shape
+        Of the image.
+    noise_variance
+        Of a pixel of `form.dark`, where it was not interpolated.
+    """
+    height, width = shape[-2:]
+    fy, fx = np.broadcast_arrays(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :])
+    mosaic = len(form.channel) > 1
+    places = np.abs(fx) + np.abs(fy) < 0.5 if mosaic else np.ones(fx.shape, dtype=bool)
+    dark = _box(form, form.dark.mean(axis=0))
+    window = np.outer(np.hanning(dark.shape[0] + 2)[1:-1], np.hanning(dark.shape[1] + 2)[1:-1])
+    whole = np.abs(fft.fft2((dark - np.average(dark, weights=window)) * window, s=(height, width))) ** 2
+    power = ndimage.gaussian_filter(whole / np.sum(window**2), TEXTURE.smoothing_bins, mode="wrap")
+    # A chessboard's samples have their noise in half of all frequencies.
+    noise = noise_variance * (2.0 if mosaic else 1.0)
+    weight = np.clip(1 - noise / np.maximum(power[:, : fx.shape[1]], 1e-300), 0.0, 1.0)
+    double = np.where((fx > 0) & (fx < 0.5), 2.0, 1.0)
+    return TextureBand(places, fx[places], fy[places], (weight * double)[places], float(double[places].sum()))
+
+
+def _box(form: TexturedPatch, image: FloatArray) -> FloatArray:
+    """The part of an image of the size of `form.dark` that is to be measured."""
+    width, height = form.box_size_px
+    left, top = (int(v) for v in np.rint(form.centre_in_dark_px - (np.array([width, height]) - 1) / 2))
+    return image[..., max(top, 0) : top + height, max(left, 0) : left + width]
 
 
 def _smooth_derivative(image: FloatArray, axis: int) -> FloatArray:

@@ -180,10 +180,21 @@ def _products(rows: ComplexArray, weight: FloatArray | float = 1.0) -> FloatArra
     return result
 
 
+def blur_power(motion: TransferFunction, k: int, p: FloatArray, fx: FloatArray, fy: FloatArray) -> FloatArray:
+    """(f,) |H|² at frequencies (f,) each, at parameters p, of which `k` are the shape's."""
+    moved, _ = motion(fx[None], fy[None], p[3 + k :])
+    focus = closed_form.gaussian_transfer(fx**2 + fy**2, float(p[2]))
+    return _squared(np.asarray(moved, np.complex128)[0] * focus)
+
+
+def texture_depth(light: FloatArray) -> float:
+    """Brightness of the blurred frame, DN, of which the texture's darkness is a part, by (n, 4) light of its planes."""
+    return float(np.mean(np.abs(light[:, 0] * light[:, 3]))) if len(light) else 0.0
+
+
 def template_share(form: TexturedPatch, light: FloatArray) -> float:
     """Variance of the template's noise over that of the blurred frame, ρ²/N, by (n, 4) light of planes in use."""
-    depth = float(np.mean(np.abs(light[:, 0] * light[:, 3]))) if len(light) else 0.0
-    return (depth / max(form.spread_dn, 1e-12)) ** 2 / form.frames
+    return (texture_depth(light) / max(form.spread_dn, 1e-12)) ** 2 / form.frames
 
 
 class TextureEquations:

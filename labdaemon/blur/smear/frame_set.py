@@ -238,6 +238,14 @@ def window_orbit_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunc
     return partial(_orbit_at_nodes, basis=basis, weight=weight)
 
 
+def orbit_vectors(motion: FloatArray) -> FloatArray:
+    """(4,) a and b of an orbit's parameters, or of an in-phase motion's vector and phase."""
+    if len(motion) == 4:
+        return motion
+    vector, phase_rad = motion[:2], float(motion[2])
+    return np.concatenate((vector * np.cos(phase_rad), vector * np.sin(phase_rad)))
+
+
 def window_in_phase_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:
     """In-phase motion by (vx, vy, ψ)."""
     return partial(_in_phase_at_nodes, basis=basis, weight=weight)

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.patch.illumination import render_illumination
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, window_orbit_transfer
+from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, orbit_vectors, window_orbit_transfer
 from labdaemon.blur.smear.gls_frames import frame_products
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.flags import Flag
@@ -57,7 +57,7 @@ def flag_contradiction(found: Measurement, frame_set: FrameSet, solution: Soluti
 def member_chi2(frame_set: FrameSet, solution: Solution) -> tuple[float, int]:
     """χ² between the frames and its degrees of freedom, of the joint fit by an orbit or an in-phase motion."""
     first = frame_set.first_motion
-    p = np.concatenate((solution.p[:first], _orbit_vectors(solution.p[first:])))
+    p = np.concatenate((solution.p[:first], orbit_vectors(solution.p[first:])))
     dark, _ = frame_set.forward_model(window_orbit_transfer, frame_set.max_amplitude_px(p))(p)
     at = replace(solution, p=p, signal=render_illumination(frame_set.planes, solution.light, dark))
     normals, scores = [], []
@@ -74,14 +74,6 @@ def member_chi2(frame_set: FrameSet, solution: Solution) -> tuple[float, int]:
         squared += one
         rank += directions
     return squared, rank - _explained(total, np.zeros(4))[1]
-
-
-def _orbit_vectors(motion: FloatArray) -> FloatArray:
-    """(4,) a and b of an orbit's parameters, or of an in-phase motion's vector and phase."""
-    if len(motion) == 4:
-        return motion
-    vector, phase_rad = motion[:2], float(motion[2])
-    return np.concatenate((vector * np.cos(phase_rad), vector * np.sin(phase_rad)))
 
 
 def _motion_equations(

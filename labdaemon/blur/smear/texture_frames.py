@@ -11,18 +11,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import fft
 
+from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.sharp.texture_structure import texture_band
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.errors_in_variables import (
     CorrectedEquations,
     TextureEquations,
+    blur_power,
     evaluate_equations,
     safe_inverse,
     template_share,
-    transfer_moments,
+    texture_depth,
 )
-from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
+from labdaemon.blur.smear.frame_set import (
+    FRAME_PARAMETERS,
+    FrameSet,
+    TransferFactory,
+    orbit_vectors,
+    window_orbit_transfer,
+)
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.texture_settings import TEXTURE
 
@@ -31,33 +41,47 @@ HELD_SD = 1e-5
 
 
 def correct_cost(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
-    """A textured patch's solution with its cost over the variance that the sharp frame's noise adds; a dot's as it is.
+    """A textured patch's solution with its cost by the spatial frequencies that show texture; a dot's as it is.
 
-    The residuals hold the noise of the sharp frame as far as the blur lets it through. Without this the phases of more
-    blur would seem more likely.
+    The residuals n2 − H·n1 hold the noise of the sharp frame as far as the blur lets it through, and products of the
+    two noises at all frequencies, also at those without texture. A sum of squares prefers more blur, and its
+    differences between twins scatter far more than their own size. The likelihood of a texture of known power S and a
+    sharp frame's noise of power N weighs each frequency by S/(S + N) and divides by the residuals' variance there.
     """
     form, first = frame_set.sharp.form, frame_set.first_motion
     length = float(np.linalg.norm(solution.p[first:]))
     if not isinstance(form, TexturedPatch) or not length <= float(np.hypot(*frame_set.problems[0].grid.size)):
         return solution
-    nuisance, widening = FRAME_PARAMETERS * len(frame_set.problems), 0.0
-    for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
+    nuisance, cost = FRAME_PARAMETERS * len(frame_set.problems), solution.cost
+    for index, window in enumerate(frame_set.windows):
         p = np.concatenate((solution.p[FRAME_PARAMETERS * index :][:FRAME_PARAMETERS], solution.p[nuisance:]))
         motion = frame_set.transfer(window, transfer_factory, 3.0 + 1.3 * length)
-        through = transfer_moments(problem, form, motion, p, 1.0).through
-        rows = frame_set.rows(index)
-        share = template_share(form, solution.light[rows][solution.weight[rows].any(axis=(1, 2))])
-        widening += (1 + share * through) / len(frame_set.problems)
-    return replace(solution, cost=solution.cost / widening)
+        rows, planes = frame_set.rows(index), frame_set.planes_of(index)
+        weight, light = solution.weight[rows], solution.light[rows]
+        used = weight.any(axis=(1, 2))
+        residual = np.where(weight > 0, (planes.values - solution.signal[rows]) * np.sqrt(weight), 0.0)
+        image = merge_planes(planes, residual)
+        share = template_share(form, light[used])
+        noise = share / max(float(np.mean(weight[weight > 0])) * texture_depth(light[used]) ** 2, 1e-300)
+        band = texture_band(form, image.shape, noise)
+        seen = np.abs(fft.rfft2(image)[band.places]) ** 2 / band.count
+        blur = blur_power(motion, frame_set.shape_count, p, band.fx, band.fy)
+        cost += float(band.weight @ (seen / (1 + share * blur))) - float(np.vdot(residual, residual))
+    return replace(solution, cost=cost)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FramePart:
-    """One frame's equations, and the places of its parameters and its contrast among all."""
+    """One frame's equations, what they are to begin with, and the places of its parameters and contrast among all."""
 
     equations: TextureEquations
     places: list[int]
-    noise_power: float
+    begun: CorrectedEquations
+
+    @property
+    def noise_power(self) -> float:
+        """What weighs the cost."""
+        return max(self.begun.noise_power, 1e-12)
 
 
 def refine_texture_frames(
@@ -134,6 +158,23 @@ def refine_texture_frames(
     return replace(solution, p=p[:count], covariance=covariance[:count, :count], light=light, template_noise=True)
 
 
+def equations_of_frames(frame_set: FrameSet, solution: Solution) -> list[tuple[ColourPlanes, CorrectedEquations]]:
+    """Planes and corrected equations of each frame at a solution, by an orbit's vectors; none for dots.
+
+    Parameters
+    ----------
+    frame_set, solution
+        The frames, and their joint fit by an orbit or an in-phase motion.
+    """
+    form, first = frame_set.sharp.form, frame_set.first_motion
+    length = float(np.linalg.norm(orbit_vectors(solution.p[first:])))
+    if not isinstance(form, TexturedPatch) or not length <= float(np.hypot(*frame_set.problems[0].grid.size)):
+        return []
+    p = np.concatenate((solution.p[:first], orbit_vectors(solution.p[first:])))
+    parts = _frame_parts(frame_set, form, replace(solution, p=p), window_orbit_transfer, 3.0 + 1.3 * length)
+    return [(part.equations.problem.planes, part.begun) for part in parts]
+
+
 def _frame_parts(
     frame_set: FrameSet, form: TexturedPatch, solution: Solution, transfer_factory: TransferFactory, reach_px: float
 ) -> list[_FramePart]:
@@ -150,7 +191,7 @@ def _frame_parts(
         ]
         equations = TextureEquations(alone, form, own, motion)
         begun = equations.at(np.append(solution.p[places[:-1]], 1.0))
-        parts.append(_FramePart(equations, places, max(begun.noise_power, 1e-12)))
+        parts.append(_FramePart(equations, places, begun))
     return parts
 
 
