@@ -17,9 +17,10 @@ from labdaemon.blur.sharp.texture_structure import TextureStructure, texture_str
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.sharp.weights import nuisance_prior
 from labdaemon.blur.smear.defocus import default_defocus
-from labdaemon.blur.smear.errors_in_variables import TextureEquations, TextureFit, fit_texture
+from labdaemon.blur.smear.errors_in_variables import TextureEquations
 from labdaemon.blur.smear.fit_problem import FitProblem, prepare_fit
 from labdaemon.blur.smear.mixed_motion import motion_varies
+from labdaemon.blur.smear.texture_fit import TextureFit, fit_texture
 from labdaemon.blur.smear.uncertainty import (
     covariance_at_rest,
     quality_flags,

@@ -15,7 +15,6 @@ texture. The covariance is that of the score: A⁻¹BA⁻¹, with the products o
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +27,7 @@ from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.fast_forward_model import fast_forward_model
 from labdaemon.blur.smear.fit_problem import FitProblem, TransferFunction
-from labdaemon.blur.solver.reduced_equations import Prior, Solution
+from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import DarknessModel
 from labdaemon.blur.spectra import closed_form
 from labdaemon.blur.texture_settings import TEXTURE
@@ -112,26 +111,6 @@ class CorrectedEquations:
     jacobian: FloatArray
     moments: TransferMoments
     pixels: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TextureFit:
-    """Where the fit of a noisy template ended.
-
-    Attributes
-    ----------
-    p, covariance
-        (k,) x, y, defocus, shape…, motion…, and their covariance.
-    equations
-        At the end.
-    cost
-        F over the noise's power at the start, and the prior's.
-    """
-
-    p: FloatArray
-    covariance: FloatArray
-    equations: CorrectedEquations
-    cost: float
 
 
 def transfer_moments(
@@ -290,78 +269,6 @@ class TextureEquations:
         return result
 
 
-def fit_texture(
-    equations: TextureEquations,
-    start: FloatArray,
-    prior: Prior,
-    *,
-    bound: Callable[[FloatArray], FloatArray],
-    basis: FloatArray | None = None,
-    noise_power: float | None = None,
-) -> TextureFit:
-    """Minimise the corrected cost from (k,) `start`.
-
-    Parameters
-    ----------
-    basis
-        (k + 1, q) directions in which the parameters may change, contrast last; None for all.
-    noise_power
-        What weighs the cost against the prior; None takes that at the start. Costs compare under the same one only.
-    """
-    free = np.eye(len(start) + 1) if basis is None else basis
-    p = np.append(bound(start), 1.0)
-    precision = np.zeros((len(p), len(p)))
-    precision[:-1, :-1] = prior.precision
-    mean = np.append(prior.mean, 1.0)
-    here = equations.at(p)
-    power = max(here.noise_power if noise_power is None else noise_power, 1e-12)
-
-    first_motion = 3 + equations.problem.shape_count
-
-    def reach(at: FloatArray) -> float:
-        # The cost is far from quadratic over more than a part of the motion.
-        return 1.0 + 0.5 * float(np.max(np.abs(at[first_motion:-1])))
-
-    def total(state: CorrectedEquations, at: FloatArray) -> float:
-        return state.cost / power + float((at - mean) @ precision @ (at - mean))
-
-    damping = 1.0
-    for _ in range(TEXTURE.iterations):
-        unit = here.widening * power
-        gradient = free.T @ (here.score / unit + precision @ (mean - p))
-        information = free.T @ (here.information / unit + precision) @ free
-        raw = free.T @ (here.raw_information / unit + precision) @ free
-        step = free @ (damping * _safe_step(information, raw, gradient))
-        step /= max(1.0, float(np.max(np.abs(step[:3]))), float(np.max(np.abs(step[first_motion:-1])) / reach(p)))
-        trial = np.append(bound((p + step)[:-1]), np.clip((p + step)[-1], 0.05, 20.0))
-        there = evaluate_equations(equations, trial)
-        if there is None or total(there, trial) > total(here, p) + 1e-6:
-            damping /= 3
-            if damping < 1e-3:
-                break
-            continue
-        moved = free.T @ (trial - p)
-        p, here, small = trial, there, float(moved @ raw @ moved) < TEXTURE.last_step_sd**2
-        if small and damping > 0.3:
-            break
-        damping = min(1.0, damping * 3)
-    unit = here.widening * max(here.noise_power, 1e-12)
-    spread = free.T @ (equations.score_covariance(p, here) / unit**2 + precision) @ free
-    information = free.T @ (here.information / unit + precision) @ free
-    raw = free.T @ (here.raw_information / unit + precision) @ free
-    inverse = safe_inverse(information, raw)
-    covariance = free @ inverse @ spread @ inverse @ free.T
-    return TextureFit(p[:-1], covariance[:-1, :-1], here, total(here, p))
-
-
-def evaluate_equations(equations: TextureEquations, p: FloatArray) -> CorrectedEquations | None:
-    """The equations at p; None where the model overflows, which a step from afar may ask for."""
-    try:
-        return equations.at(p)
-    except FloatingPointError:  # the caller tries a shorter step
-        return None
-
-
 def _without_illumination(
     illumination: FloatArray, residual: FloatArray, jacobian: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -386,12 +293,6 @@ def _excess_power(residual: FloatArray, white: FloatArray, pixels: int, fx: Floa
     count = np.maximum(np.bincount(band, minlength=UNCERTAINTY.bands), 1)
     excess = np.where(ratio > 1 + 3 / np.sqrt(count), np.maximum(ratio, 1.0), 1.0)
     result: FloatArray = excess[band].reshape(fx.shape)
-    return result
-
-
-def _safe_step(information: FloatArray, raw: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Newton step; directions whose derivatives are all noise move as far as the raw normal matrix lets them."""
-    result: FloatArray = safe_inverse(information, raw) @ gradient
     return result
 
 

@@ -15,9 +15,10 @@ import numpy as np
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.smear.errors_in_variables import CorrectedEquations, TextureFit
+from labdaemon.blur.smear.errors_in_variables import CorrectedEquations
 from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.frame_set import FrameSet, orbit_vectors
+from labdaemon.blur.smear.texture_fit import TextureFit
 from labdaemon.blur.smear.texture_frames import equations_of_frames
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.texture_settings import TEXTURE

@@ -21,7 +21,6 @@ from labdaemon.blur.smear.errors_in_variables import (
     CorrectedEquations,
     TextureEquations,
     blur_power,
-    evaluate_equations,
     safe_inverse,
     template_share,
     texture_depth,
@@ -33,6 +32,7 @@ from labdaemon.blur.smear.frame_set import (
     orbit_vectors,
     window_orbit_transfer,
 )
+from labdaemon.blur.smear.texture_fit import CorrectedState, evaluate_equations, minimise_corrected
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.texture_settings import TEXTURE
 
@@ -118,30 +118,26 @@ def refine_texture_frames(
     stiff = precision.copy()
     stiff[:count, :count] += np.outer(held_along, held_along) / HELD_SD**2
 
-    def total(states: Sequence[CorrectedEquations], at: FloatArray) -> float:
-        squares = sum(one.cost / part.noise_power for one, part in zip(states, parts, strict=True))
-        return float(squares + (at - mean) @ precision @ (at - mean))
+    def evaluate(at: FloatArray) -> CorrectedState | None:
+        states = [evaluate_equations(part.equations, at[part.places]) for part in parts]
+        seen = tuple(one for one in states if one is not None)
+        if len(seen) < len(parts):
+            return None
+        squares = sum(one.cost / part.noise_power for one, part in zip(seen, parts, strict=True))
+        return CorrectedState(at, seen, float(squares + (at - mean) @ precision @ (at - mean)))
 
-    here = _evaluate_all(parts, p)
-    if here is None:
-        return solution
-    damping = 1.0
-    for _ in range(TEXTURE.frame_iterations):
-        score, information, raw = _sum_equations(parts, here, len(p))
-        gradient = score + precision @ (mean - p)
-        step = damping * safe_inverse(information + stiff, raw + stiff) @ gradient
+    def propose(state: CorrectedState, factor: float) -> tuple[FloatArray, float]:
+        score, information, raw = _sum_equations(parts, state.equations, len(state.p))
+        gradient = score + precision @ (mean - state.p)
+        step = factor * safe_inverse(information + stiff, raw + stiff) @ gradient
         step /= max(1.0, float(np.max(np.abs(step[first:count]))))
-        trial = p + step
-        there = _evaluate_all(parts, trial)
-        if there is None or total(there, trial) > total(here, p) + 1e-6:
-            damping /= 3
-            if damping < 1e-2:
-                break
-            continue
-        p, here = trial, there
-        if float(step @ (raw + precision) @ step) < TEXTURE.last_step_sd**2 and damping > 0.3:
-            break
-        damping = min(1.0, damping * 3)
+        return state.p + step, float(step @ (raw + precision) @ step)
+
+    begun = evaluate(p)
+    if begun is None:
+        return solution
+    end = minimise_corrected(begun, propose, evaluate, max_steps=TEXTURE.frame_iterations, shortest=1e-2)
+    p, here = end.p, end.equations
     if not np.linalg.norm(p[first:count]) <= reach:
         return solution
     _, information, raw = _sum_equations(parts, here, len(p))
@@ -193,12 +189,6 @@ def _frame_parts(
         begun = equations.at(np.append(solution.p[places[:-1]], 1.0))
         parts.append(_FramePart(equations, places, begun))
     return parts
-
-
-def _evaluate_all(parts: Sequence[_FramePart], p: FloatArray) -> list[CorrectedEquations] | None:
-    """All frames' equations; None where a model overflows."""
-    states = [evaluate_equations(part.equations, p[part.places]) for part in parts]
-    return None if any(one is None for one in states) else [one for one in states if one is not None]
 
 
 def _sum_equations(
