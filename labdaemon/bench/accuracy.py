@@ -14,6 +14,7 @@ from typing import Any
 from labdaemon.bench.bound import BoundTable, ImageNoise, bound_table
 from labdaemon.bench.cases import BASE, AccuracyCase, cases
 from labdaemon.bench.pairs import MotionComparison, pair_up, read_truth
+from labdaemon.bench.programme import run_cases
 from labdaemon.bench.simulator import folder_maker, renderer
 from labdaemon.processing import WorkerPool, process_folder
 
@@ -97,18 +98,11 @@ def run_accuracy(
     results = [CaseResult(case, [], [] if case.paper and published_method_available() else None) for case in programme]
     with WorkerPool(workers) as pool, _place(keep) as root:
         tables = _start_bounds(pool)
-        jobs = [
-            (seed, result, pool.submit(render_case, result.case, seed, root / f"{result.case.key}-{seed}"))
-            for seed in seeds
-            for result in results
-        ]
-        for seed, result, job in jobs:
-            folder = job.result()
+        for result, folder in run_cases(pool, root, seeds, results, render_case, report):
             truth = read_truth(folder)
             result.ours.extend(pair_up(truth, _envelope(folder, pool, "fit")))
             if result.published is not None:
                 result.published.extend(pair_up(truth, _envelope(folder, pool, "paper")))
-            report(f"seed {seed}: {result.case.title}")
             if keep is None:
                 _forget_frames(folder)
         bounds = _finish_bounds(tables)

@@ -14,6 +14,7 @@ import numpy as np
 from labdaemon.bench.bound import LENS_SIGMA_PX, PX_PER_MM
 from labdaemon.bench.dots import DIFFRACTION_PX, OWN_LENS_SIGMA_PX, TEXTURE_MM
 from labdaemon.bench.pairs import read_truth
+from labdaemon.bench.programme import run_cases
 from labdaemon.bench.signed_cases import SignedCase, signed_cases
 from labdaemon.bench.signed_error import signed_error
 from labdaemon.bench.simulator import folder_maker
@@ -121,14 +122,8 @@ def run_signed(
     folder_maker()
     results = [SignedResult(case, []) for case in signed_cases(quick) if only is None or case.key in only]
     with WorkerPool(workers, deadline_s=TASK_LIMIT_S) as pool, tempfile.TemporaryDirectory() as root:
-        tasks = [
-            (seed, result, pool.submit(compare_case, result.case, seed, Path(root) / f"{result.case.key}-{seed}"))
-            for seed in seeds
-            for result in results
-        ]
-        for seed, result, task in tasks:
-            result.targets.extend(task.result())
-            report(f"seed {seed}: {result.case.title}")
+        for result, compared in run_cases(pool, Path(root), seeds, results, compare_case, report):
+            result.targets.extend(compared)
     return results
 
 

@@ -45,7 +45,7 @@ from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
 from labdaemon.blur.shared_ambient import share_ambient
 from labdaemon.blur.sharp.fit_sharp import fit_sharp, unmeasurable_target
 from labdaemon.blur.sharp.target import SharpTarget
-from labdaemon.blur.sharp.textured_patch import make_textured_patch
+from labdaemon.blur.sharp.textured_patch import MIN_SIDE_PX, make_textured_patch
 from labdaemon.blur.smear.defocus import estimate_frame_defocus
 from labdaemon.blur.threshold import PhaseScatter, predict_scatter
 from labdaemon.blur.twins import Twin, nearest_twin
@@ -54,6 +54,7 @@ from labdaemon.blur.waveform import MotionWaveform
 
 __all__ = [
     "MEASURE",
+    "MIN_SIDE_PX",
     "TEXTURE_MAP",
     "Defocus",
     "Dot",

@@ -88,16 +88,6 @@ class Adjustment:
             result[start:stop] += np.einsum("pik,pjk->pij", rows @ self._inverse, rows)
         return result * (self.sigma0**2 if scaled else 1.0)
 
-    def joint_covariance(self, points: Sequence[int], *, scaled: bool = True) -> FloatArray:
-        """(3 q, 3 q) joint covariance of some points."""
-        index = (3 * np.asarray(points)[:, None] + np.arange(3)).ravel()
-        rows = self._normal.transfer[index].toarray()
-        result: FloatArray = rows @ self._inverse @ rows.T
-        for place, point in enumerate(points):
-            block = slice(3 * place, 3 * place + 3)
-            result[block, block] += self._normal.inverse_v[point]
-        return result * (self.sigma0**2 if scaled else 1.0)
-
     def fitted_cofactor(self) -> FloatArray:
         """(n, 2, 2) covariance of each observation's computed pixel for unit weight.
 

@@ -16,6 +16,9 @@ from labdaemon.processing.control import ControlTargets
 from labdaemon.processing.survey import PatchBox
 from labdaemon.processing.thumbnails import Thumbnail
 
+LABEL_RADII = 4.0
+"""A dot's label ends here at the latest, in radii of the dot: where all is paper its end does not show."""
+
 
 def cut_patches(
     frames: Sequence[RawFrame], grey: Grey, boxes: Sequence[PatchBox]
@@ -91,7 +94,7 @@ def without_patches(
                 )
         held = [dot for dot in kept if _distance(one, dot) <= 0]
         kept = [dot for dot in kept if _distance(one, dot) > 0]
-        touched = [dot for dot in kept if _distance(one, dot) < min(dot.paper_px, 2 * dot.semi_major_px)]
+        touched = [dot for dot in kept if _distance(one, dot) < min(dot.paper_px, LABEL_RADII * dot.semi_major_px)]
         for seen, what in (
             (held, "lies in patch {} and is not measured by itself"),
             (touched, "has its label partly in patch {}: a label that moves by itself spoils the patch"),

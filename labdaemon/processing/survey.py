@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
+from labdaemon.blur import MIN_SIDE_PX
 from labdaemon.errors import DataError
 
 
@@ -203,6 +204,8 @@ def read_patches(path: Path, cameras: Sequence[str], taken: Sequence[str] = ()) 
             raise DataError(
                 f"{name}: x_px, y_px, width_px and height_px are whole pixels inside the sharp frame", file=path
             )
+        if min(values[2:]) < MIN_SIDE_PX:
+            raise DataError(f"{name}: too small to measure; make it at least {MIN_SIDE_PX} px wide and high", file=path)
         boxes.append(PatchBox(name, camera, *(int(value) for value in values)))
     if not boxes:
         raise DataError("names no patches; fill it or remove it", file=path)

@@ -7,7 +7,7 @@ from scipy import ndimage
 import labdaemon as ld
 from labdaemon.blur import Dot, fit_sharp, unmeasurable_target
 from labdaemon.flags import Flag
-from labdaemon.processing import prepare
+from labdaemon.processing import patches, prepare
 
 CENTRES = [(60.3, 70.2), (160.1, 70.6), (260.4, 70.1)]
 
@@ -20,10 +20,10 @@ def sheet(seed: int) -> np.ndarray:
 
 
 def test_one_dot_without_solution_is_one_flagged_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fit(dot, patches):
+    def fit(dot, cuts):
         if abs(dot.x_px - 160) < 5:
             raise np.linalg.LinAlgError("singular")
-        return fit_sharp(dot, patches)
+        return fit_sharp(dot, cuts)
 
     monkeypatch.setattr(prepare, "fit_sharp", fit)
     table = ld.measure(sheet(1), sheet(2))
@@ -45,6 +45,6 @@ def test_a_patch_without_solution_is_refused_by_its_place(monkeypatch: pytest.Mo
     def fail(*_args, **_kwargs):
         raise np.linalg.LinAlgError("singular")
 
-    monkeypatch.setattr(prepare, "make_textured_patch", fail)
+    monkeypatch.setattr(patches, "make_textured_patch", fail)
     with pytest.raises(ld.errors.DataError, match="patch 40,50,40,40 cannot be used"):
         ld.measure(sheet(1), sheet(2), patches=[(40, 50, 40, 40)])

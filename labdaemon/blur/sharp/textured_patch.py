@@ -18,6 +18,9 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
+MIN_SIDE_PX = 8
+"""Least width and height of a patch. Trial: less shows hardly any motion."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TexturedPatch:
@@ -118,14 +121,14 @@ def make_textured_patch(
     Raises
     ------
     UsageError
-        The box does not lie in the patch, or is smaller than 8 px.
+        The box does not lie in the patch, or is smaller than `MIN_SIDE_PX`.
     """
     given = [patches] if isinstance(patches, Patch) else list(patches)
     patch, count = average_patches(given)
     left, top = box[0] - patch.origin_px[0], box[1] - patch.origin_px[1]
     height, width = patch.shape
-    if min(box[2:]) < 8:
-        raise UsageError(f"patch {box} is too small to measure; make it at least 8 px wide and high")
+    if min(box[2:]) < MIN_SIDE_PX:
+        raise UsageError(f"patch {box} is too small to measure; make it at least {MIN_SIDE_PX} px wide and high")
     if left < 0 or top < 0 or left + box[2] > width or top + box[3] > height:
         raise UsageError(f"patch {box} does not lie inside the sharp frame")
     known = noise is not None
