@@ -30,7 +30,7 @@ from labdaemon.report.overlay import overlay_path, write_overlay
 Box = tuple[int, int, int, int]
 
 
-class PatchBox(click.ParamType):  # type: ignore[type-arg,unused-ignore]
+class PatchParameter(click.ParamType):  # type: ignore[type-arg,unused-ignore]
     """X,Y,W,H in whole pixels."""
 
     name = "X,Y,W,H"
@@ -51,7 +51,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.command()
 @click.argument("blurred", nargs=-1, required=True, type=_FILE)
 @click.option("--sharp", multiple=True, required=True, type=_FILE, help="Sharp frame; several are averaged.")
-@click.option("--patch", "patches", multiple=True, type=PatchBox(), help="Measure this part, whatever it shows.")
+@click.option("--patch", "patches", multiple=True, type=PatchParameter(), help="Measure this part, whatever it shows.")
 @click.option("--out", type=_FILE, help="CSV file to write; standard output if not given.")
 @click.option("--method", type=click.Choice(["fit", "paper"]), default="fit", show_default=True)
 @exposure_options

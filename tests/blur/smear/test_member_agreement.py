@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from labdaemon.blur import Defocus, Dot, ExposureWindow, LightCode, fit_sharp, measure_group, named_code
-from labdaemon.blur.smear.member_agreement import _explained, _orbit_vectors
+from labdaemon.blur.smear.frame_set import orbit_vectors
+from labdaemon.blur.smear.member_agreement import _explained
 from labdaemon.flags import Flag
 
 STILL = Defocus(0.0, 0.01)
@@ -74,7 +75,7 @@ def test_members_under_coded_light_are_compared(area, sharp, other, contradicts)
 
 @pytest.mark.parametrize(("motion", "expected"), [((1.0, 2.0, 0.5), None), ((1.0, 2.0, 3.0, 4.0), (1, 2, 3, 4))])
 def test_vectors_of_an_in_phase_motion_and_of_an_orbit(motion, expected):
-    got = _orbit_vectors(np.array(motion))
+    got = orbit_vectors(np.array(motion))
     if expected is None:
         expected = (np.cos(0.5), 2 * np.cos(0.5), np.sin(0.5), 2 * np.sin(0.5))
     assert got == pytest.approx(expected)

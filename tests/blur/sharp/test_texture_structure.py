@@ -1,0 +1,23 @@
+"""Where a texture's power lies among spatial frequencies."""
+
+import numpy as np
+import pytest
+
+from labdaemon.bench.textures import random_texture
+from labdaemon.blur import Patch, make_textured_patch
+from labdaemon.blur.sharp.texture_structure import texture_band
+
+
+@pytest.mark.parametrize("mosaic", [False, True])
+def test_frequencies_without_texture_weigh_nothing(mosaic):
+    rng = np.random.default_rng(1)
+    image = 128 + 20 * random_texture(rng, 130, 2.5) + rng.normal(0, 1, (130, 130))
+    y, x = np.mgrid[:130, :130]
+    channel = (2 * (y % 2) + x % 2).astype(np.uint8) if mosaic else np.zeros((130, 130), np.uint8)
+    form = make_textured_patch(Patch(image, channel, np.ones(image.shape, bool), (0, 0)), (35, 35, 60, 60)).form
+    band = texture_band(form, (60, 60), 1.0 / form.spread_dn**2)
+    frequency = np.hypot(band.fx, band.fy)
+    double = np.where((band.fx > 0) & (band.fx < 0.5), 2.0, 1.0)
+    assert band.count == pytest.approx(60 * 60 / (2 if mosaic else 1), rel=0.04)
+    assert np.mean((band.weight / double)[frequency < 0.08]) > 0.95
+    assert np.mean((band.weight / double)[frequency > 0.3]) < 0.25
