@@ -30,6 +30,8 @@ _CFA_REPEAT = 33421  # of TIFF/EP
 _FLOAT = 3  # of the tag SampleFormat
 _RW2_WIDTH, _RW2_HEIGHT, _RW2_OFFSET = 2, 3, 280
 
+PIXELS_A_BYTE = 256
+"""Pixels for each byte of a file above which it holds no frame, only tags: noise cannot be compressed so far."""
 MOST_PIXELS_A_BYTE = 16
 """Compressed RAW data of fewer bytes hold no frame: the shortest Huffman code takes a bit for each pixel."""
 ZERO_TAIL_BYTES, ZERO_TAIL_PART = 16_384, 0.02
@@ -158,16 +160,21 @@ def exposure_of(path: Path) -> float | None:
 
 
 def check_pixel_bytes(path: Path, directory: TiffDirectory) -> None:
-    """Check that an uncompressed image of an ordinary TIFF has as many bytes as its pixels take.
+    """Check that an image of an ordinary TIFF has pixels, and as many bytes as they take.
+
+    A decoder makes room for what a damaged header claims, gigabytes for a file of kilobytes, before it reads a byte.
 
     Raises
     ------
     DataError
-        It has fewer, or strips without any.
+        It has no pixels, fewer bytes than they take, or strips without any.
     """
     counts = _pixel_bytes(directory)
-    needed = _pixels(directory) * directory.number(BITS, 1) * directory.number(SAMPLES, 1) / 8
-    if not counts.size or not counts.all() or (directory.number(COMPRESSION, 1) == 1 and counts.sum() < needed):
+    if not _pixels(directory):
+        raise DataError(f"has no pixels: {directory.number(WIDTH)}x{directory.number(HEIGHT)}", file=path)
+    bits = directory.number(BITS, 1) * directory.number(SAMPLES, 1)
+    needed = _pixels(directory) * (bits / 8 if directory.number(COMPRESSION, 1) == 1 else 1 / PIXELS_A_BYTE)
+    if not counts.size or not counts.all() or counts.sum() < needed:
         raise _no_pixels(path, directory, counts)
 
 

@@ -1,4 +1,4 @@
-"""What a decoded frame shows of its file: rows that were never written, and a mosaic that is declared grey."""
+"""What a decoded frame shows of its file: pixels that were never written, and a mosaic that is declared grey."""
 
 from __future__ import annotations
 
@@ -43,6 +43,17 @@ def empty_note(path: Path, empty: NDArray[np.bool_]) -> str:
     return (
         f"{path}: {len(rows)} of {len(empty)} rows are zero ({rows[0]} to {rows[-1]}): the file is incomplete and "
         "nothing is measured there; fetch it again"
+    )
+
+
+def uniform_note(path: Path, values: NDArray[np.uint16]) -> tuple[str, ...]:
+    """One line about a frame whose pixels all have one value, which no sensor's noise leaves; nothing about another."""
+    first = values.flat[0]
+    if values.size == 1 or values[0, -1] != first or (values != first).any():
+        return ()
+    return (
+        f"{path}: all its pixels are {first}: it was not decoded, was never written, or shows neither light nor noise; "
+        "fetch it again",
     )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import lzma
 import re
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -25,7 +27,7 @@ from labdaemon.imaging.file_tags import (
     check_pixel_bytes,
 )
 from labdaemon.imaging.library_output import captured_stderr
-from labdaemon.imaging.tiff_directories import TiffDirectory
+from labdaemon.imaging.tiff_directories import BIG_TIFF, TiffDirectory
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _ORIENTATION, _DESCRIPTION = 274, 270
@@ -90,16 +92,22 @@ def _check_page(path: Path, page: TiffDirectory) -> None:
 
 def _decode(path: Path, page: TiffDirectory) -> NDArray[Any] | None:
     """Values as stored: by tifffile, or by OpenCV where that lacks the codec (LZW); None where both fail."""
+    data = bytearray(path.read_bytes())
+    order: Literal["little", "big"] = "little" if data[:1] == b"I" else "big"
+    # Both read the first directory, which may be a thumbnail's.
+    place = slice(8, 16) if data[:4] in BIG_TIFF else slice(4, 8)
+    data[place] = page.place.to_bytes(place.stop - place.start, order)
     try:
-        return np.asarray(tifffile.imread(path, key=0))
+        return np.asarray(tifffile.imread(io.BytesIO(data), key=0))
+    except (zlib.error, lzma.LZMAError):  # a checksum does not hold; OpenCV does not look at it
+        return None
     except Exception:  # codecs raise whatever they like; OpenCV decides whether the file can be read
         pass
     # OpenCV would turn the image by its orientation, and inverts WhiteIsZero for 8 bits only.
-    data = bytearray(path.read_bytes())
     for code in (PHOTOMETRIC, _ORIENTATION):
         tag = page.tags.get(code)
         if tag is not None:
-            data[tag.place : tag.place + 2] = (1).to_bytes(2, "little" if tag.order == "<" else "big")
+            data[tag.place : tag.place + 2] = (1).to_bytes(2, order)
     return _by_opencv(bytes(data))
 
 

@@ -13,17 +13,13 @@ from numpy.typing import NDArray
 from labdaemon.errors import DataError
 from labdaemon.imaging.ceiling import find_ceilings
 from labdaemon.imaging.compression import find_knees
-from labdaemon.imaging.file_tags import TIFF_LIKE, FileTags, read_tags
+from labdaemon.imaging.file_tags import PIXELS_A_BYTE, TIFF_LIKE, FileTags, read_tags
 from labdaemon.imaging.frame import RawFrame, mean_frame
-from labdaemon.imaging.frame_checks import empty_note, empty_rows, refuse_mosaic
+from labdaemon.imaging.frame_checks import empty_note, empty_rows, refuse_mosaic, uniform_note
 from labdaemon.imaging.grey_files import PNG_MAGIC, read_png, read_tiff
 from labdaemon.imaging.library_output import captured_stderr
 
 __all__ = ["RawFrame", "check_frame", "mean_frame", "read_frame"]
-
-PIXELS_A_BYTE = 256
-"""Pixels for each byte of a file above which it holds no frame, only tags."""
-
 
 LOSSLESS_JPEG = 7
 COMPRESSIONS = {
@@ -98,7 +94,8 @@ def check_frame(frame: RawFrame) -> RawFrame:
     if frame.is_raw:
         tops_dn = np.minimum(ceilings_dn, frame.white_level)
         ceilings_dn = np.minimum(ceilings_dn, find_knees(values, frame.pattern, float(frame.black.mean()), tops_dn))
-    return replace(frame, ceilings_dn=ceilings_dn)
+    notes = frame.notes + uniform_note(frame.path, values)
+    return replace(frame, ceilings_dn=ceilings_dn, notes=notes)
 
 
 def _magic(path: Path) -> bytes:

@@ -21,7 +21,8 @@ from labdaemon.errors import DataError
 FloatArray = NDArray[np.float64]
 ByteOrder = Literal["<", ">"]
 
-TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+BIG_TIFF = (b"II+\0", b"MM\0+")
+TIFF_MAGICS = (b"II*\0", b"MM\0*", *BIG_TIFF)
 """First four bytes of TIFF and BigTIFF."""
 MAKER_MAGICS = (b"IIU\0", b"IIRO", b"IIRS", b"MMOR")
 """First four bytes of files with TIFF's structure that only LibRaw decodes: Panasonic RW2, Olympus ORF."""
@@ -91,10 +92,13 @@ class TiffDirectory:
         By number. An entry whose type is unknown is left out.
     exif
         The Exif directory, None where there is none or where it is damaged.
+    place
+        Byte of the file at which it begins.
     """
 
     tags: dict[int, TiffTag]
     exif: TiffDirectory | None = None
+    place: int = 0
 
     def number(self, code: int, default: int = 0) -> int:
         """First value of a tag as a whole number."""
@@ -120,7 +124,7 @@ class _Reader:
         self.size = os.fstat(stream.fileno()).st_size
         head = self.read(0, 16 if self.size >= 16 else 8)
         self.order: ByteOrder = "<" if head[:1] == b"I" else ">"
-        self.big = head[:4] in TIFF_MAGICS[2:]
+        self.big = head[:4] in BIG_TIFF
         self.first = self.unpack("Q", head[8:16])[0] if self.big else self.unpack("I", head[4:8])[0]
 
     def unpack(self, layout: str, data: bytes) -> tuple[int, ...]:
@@ -173,7 +177,7 @@ def _follow(reader: _Reader, offset: int, above: set[int], seen: set[int], found
         above.add(offset)
         chain.append(offset)
         tags, following = _directory(reader, offset)
-        found.append(TiffDirectory(tags, _exif(reader, tags)))
+        found.append(TiffDirectory(tags, _exif(reader, tags), offset))
         children = tags.get(SUB_DIRECTORIES)
         if children is not None:
             for child in children.numbers():

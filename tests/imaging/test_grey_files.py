@@ -64,11 +64,17 @@ def test_tiles_byte_orders_and_bigtiff(tmp_path: Path, dtype: type, order: str, 
     np.testing.assert_array_equal(read_frame(path).values, image(dtype))
 
 
-def test_a_thumbnail_is_no_page(tmp_path: Path) -> None:
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_thumbnail_is_no_page(tmp_path: Path, first: bool, order: str, big: bool) -> None:
     path = tmp_path / "t.tif"
-    with tifffile.TiffWriter(path) as writer:
-        writer.write(image(np.uint16), subifds=1, metadata=None)
-        writer.write(image(np.uint16)[::4, ::4], subfiletype=1, metadata=None)
+    with tifffile.TiffWriter(path, byteorder=order, bigtiff=big) as writer:
+        if first:
+            writer.write(image(np.uint16)[::4, ::4], subfiletype=1, metadata=None)
+        writer.write(image(np.uint16), subifds=0 if first else 1, metadata=None)
+        if not first:
+            writer.write(image(np.uint16)[::4, ::4], subfiletype=1, metadata=None)
     np.testing.assert_array_equal(read_frame(path).values, image(np.uint16))
 
 
@@ -103,6 +109,15 @@ def refused(kind: str, path: Path) -> None:
             data = bytearray(path.read_bytes())
             data[40:4000] = bytes(range(251)) * 15 + bytes(3960 - 251 * 15)
             path.write_bytes(data)
+        case "spoilt deflate":  # decodes to an image that is shifted from there on; only the checksum tells
+            tifffile.imwrite(path, (values >> 12).astype(np.uint16), compression="zlib", metadata=None)
+            data = bytearray(path.read_bytes())
+            data[-900:-860] = bytes(40)
+            path.write_bytes(data)
+        case "huge header" | "no width":
+            cv2.imwrite(str(path), values, [cv2.IMWRITE_TIFF_COMPRESSION, 8])
+            retagged(path, 256, 60_000 if kind == "huge header" else 0)
+            retagged(path, 257, 60_000)
         case "alpha PNG":
             wide = np.frombuffer(b"".join(b"\0" + bytes(160) for _ in range(60)), np.uint8)
             path.write_bytes(png(struct.pack(">IIBBBBB", 80, 60, 8, 4, 0, 0, 0), zlib.compress(wide.tobytes())))
@@ -140,6 +155,9 @@ def png(header: bytes, stream: bytes) -> bytes:
         ("bilevel", "of 1 bits"),
         ("unknown compression", "cannot be decoded"),
         ("spoilt LZW", "cannot be decoded"),
+        ("spoilt deflate", "cannot be decoded"),
+        ("huge header", "bytes of pixels for 60000x60000"),
+        ("no width", "has no pixels: 0x60000"),
         ("alpha PNG", "alpha"),
         ("four-bit PNG", "of 4 bits"),
         ("spoilt PNG", "checksum"),

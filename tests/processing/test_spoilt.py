@@ -62,9 +62,12 @@ def test_what_is_not_to_be_seen_has_no_numbers(
     with rawpy.imread(str(file)) as raw:
         counts = raw.raw_image_visible.copy()
     write_dng(file, spoil(counts), "RGGB", 0, WHITE, serial="6000001", exposure_s=1.0)
-    rows = measure_capture(spoilt, prepare_sharp(spoilt), ("c1",), "c1").envelope_rows
+    measured = measure_capture(spoilt, prepare_sharp(spoilt), ("c1",), "c1")
+    rows = measured.envelope_rows
     empty = [row for row in rows if row["ax_mm"] is None]
     assert len(empty) == lost
+    is_uniform = lost == TARGETS and spoil is not noise
+    assert any("all its pixels are" in note for note in measured.notes) == is_uniform
     assert all(set(row["flags"]) == flags for row in empty)
     assert all(not row["flags"] for row in rows if row["ax_mm"] is not None)
 
