@@ -91,7 +91,12 @@ def cli() -> None:
 
 
 def say(line: str) -> None:
-    """Write one line to stderr, unless its reader does not read: the end of a process waits for no reader."""
+    """Write one line to stderr, unless its reader does not read: the end of a process waits for no reader.
+
+    What a file's name may hold and a line may not (line ends, escapes of a terminal, bytes that are no text) is written
+    as Python writes it in a string.
+    """
+    line = "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in line)
     poll = select.poll()
     try:
         poll.register(sys.stderr.fileno(), select.POLLOUT)
@@ -100,6 +105,13 @@ def say(line: str) -> None:
         return
     if poll.poll(STDERR_MS):
         click.echo(line[: select.PIPE_BUF - 1], err=True)
+
+
+def _usage_line(error: click.ClickException) -> str:
+    """What is wrong with a command line, and where its help is; Click itself writes three lines."""
+    message = " ".join(error.format_message().split())
+    context = getattr(error, "ctx", None)
+    return f"{message} ({context.command_path} --help says more)" if context is not None else message
 
 
 def main() -> None:
@@ -115,8 +127,11 @@ def main() -> None:
         sys.exit(130)
     except click.exceptions.Exit as exc:
         sys.exit(exc.exit_code)
-    except click.ClickException as exc:
+    except click.exceptions.NoArgsIsHelpError as exc:
         exc.show()
+        sys.exit(2)
+    except click.ClickException as exc:
+        say(f"labdaemon: {_usage_line(exc)}")
         print_error(exc, 2)
         sys.exit(2)
     except LabdaemonError as exc:

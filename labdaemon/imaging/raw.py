@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,8 @@ def check_frame(frame: RawFrame) -> RawFrame:
 
 def _magic(path: Path) -> bytes:
     try:
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would wait for whoever writes it
+            raise DataError("is no file, but a folder or a device", file=path)
         with path.open("rb") as stream:
             head = stream.read(8)
     except FileNotFoundError:

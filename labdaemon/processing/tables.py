@@ -16,6 +16,7 @@ from labdaemon.correlations import CORRELATIONS, correlations_of
 from labdaemon.durable import write_durably
 from labdaemon.flags import Flag
 from labdaemon.geometry import ObjectMotion
+from labdaemon.plain_json import plain_text
 
 Value: TypeAlias = str | float | list[str] | None
 Row: TypeAlias = dict[str, Value]
@@ -81,7 +82,7 @@ def _cell(value: Value) -> str:
         return ";".join(value)
     if isinstance(value, float):
         return f"{value:.6f}"
-    return str(value)
+    return plain_text(str(value))
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Row]) -> str:

@@ -80,13 +80,18 @@ def test_stop_without_a_daemon_says_what_stops_the_table() -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["no-such-command"], ["process"], ["process", "/nonexistent"], ["measure", "/nonexistent.dng"], ["run", "/nope"]],
-)
-def test_wrong_usage_exits_2_without_a_traceback(arguments: list[str]) -> None:
+    [
+        ["no-such-command"], ["process"], ["process", "/nonexistent"], ["measure", "/nonexistent.dng"], ["run", "/nope"],
+        ["measure", "--sharp", "/", "/"], ["measure", "--method", "x"], ["process", "new\nline\x1b[31m"],
+        ["process", b"half\xff"],
+    ],
+)  # fmt: skip
+def test_wrong_usage_exits_2_with_one_line(arguments: list[str | bytes]) -> None:
     done = subprocess.run([sys.executable, "-m", "labdaemon", *arguments], capture_output=True, text=True)
     assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert done.stderr.strip()
+    assert done.stderr.startswith("labdaemon: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.strip().isprintable()
 
 
 @pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -144,6 +145,8 @@ def bad_file(kind: str, folder: Path, write_dng: Writer) -> Path:
             tifffile.imwrite(path, np.random.default_rng(1).poisson(light).astype(np.uint16), metadata=None)
         case "folder":
             path.mkdir()
+        case "pipe":
+            os.mkfifo(path)
         case "JPEG XL" | "Nikon":
             write_dng(path, counts())
             data = path.read_bytes()
@@ -176,7 +179,8 @@ def bad_file(kind: str, folder: Path, write_dng: Writer) -> Path:
         ("Quad Bayer", "Quad Bayer"),
         ("floating-point DNG", "floating-point"),
         ("mosaic saved as grey", "mosaic of a colour sensor"),
-        ("folder", "cannot be read"),
+        ("folder", "is no file"),
+        ("pipe", "is no file"),
         ("JPEG XL", "compressed by JPEG XL"),
         ("Nikon", "High Efficiency"),
         ("pixel shift", "4 values for each pixel"),

@@ -36,6 +36,12 @@ def test_columns_are_the_contract_s() -> None:
     )
 
 
+def test_a_name_that_is_no_text_is_spelled_out(tmp_path: Path) -> None:
+    row = measurement_row("c\udcff", "", measurement())
+    write_csv(tmp_path / "m.csv", MEASUREMENT_COLUMNS, [row])
+    assert "c\\udcff,,T01," in (tmp_path / "m.csv").read_text()
+
+
 def measurement(value: float = 1.0) -> Measurement:
     return Measurement(
         "T01",
