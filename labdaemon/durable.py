@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
@@ -109,6 +109,28 @@ def make_folder(folder: Path) -> None:
             sync_folder(path.parent)
     except OSError as exc:
         raise storage_error(exc, folder) from exc
+
+
+def check_place(folder: Path, files: Iterable[str]) -> None:
+    """Check that files can be written in a folder, before the work whose results they are to hold; nothing is made.
+
+    Raises
+    ------
+    StorageError
+        The folder, or the nearest one above it, is a file or may not be written, or one of the files is a folder.
+    """
+    place = folder
+    while not os.path.lexists(place) and place.parent != place:  # a link that leads nowhere is in the way as well
+        place = place.parent
+    number = 0
+    if not place.is_dir():
+        number = errno.ENOTDIR
+    elif not os.access(place, os.W_OK | os.X_OK):
+        number = errno.EACCES
+    taken = [folder / name for name in files if (folder / name).is_dir()]
+    if number or taken:
+        number, place = (number, place) if number else (errno.EISDIR, taken[0])
+        raise storage_error(OSError(number, os.strerror(number)), place)
 
 
 def write_durably(path: Path, content: bytes | str) -> None:

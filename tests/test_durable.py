@@ -13,6 +13,7 @@ import pytest
 from labdaemon import durable
 from labdaemon.durable import (
     append_durably,
+    check_place,
     make_folder,
     move_durably,
     probe_folder,
@@ -57,6 +58,17 @@ def test_a_small_file_is_replaced_whole(tmp_path: Path):
     write_durably(path, "two")
     assert path.read_text() == "two"
     assert [file.name for file in path.parent.iterdir()] == ["capture.toml"]
+
+
+def test_results_that_could_not_be_written_are_refused_before_the_work(tmp_path: Path):
+    check_place(tmp_path / "new" / "results", ["envelope.csv"])
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "envelope.csv").mkdir()
+    for place, file in (("file", ""), ("file/results", ""), ("link", ""), ("link/results", ""), (".", "envelope.csv")):
+        with pytest.raises(StorageError, match="cannot be written"):
+            check_place(tmp_path / place, [file] if file else [])
 
 
 def test_a_moved_frame_is_gone_from_its_old_place(tmp_path: Path):

@@ -177,6 +177,6 @@ def squared_normalised_residuals(residuals: FloatArray, covariances: FloatArray)
 def exclusion_reason(residual_px: FloatArray, square: float) -> str:
     """Say why a control target was left out."""
     return (
-        f"residual ({residual_px[0]:+.2f}, {residual_px[1]:+.2f}) px is {np.sqrt(square):.0f} times its standard "
+        f"residual ({residual_px[0]:+.2f}, {residual_px[1]:+.2f}) px is {np.sqrt(square):.0f} times its "
         "standard deviation: misread in the frame or mis-surveyed"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from labdaemon.imaging.frame import RawFrame, mean_frame
 from labdaemon.imaging.frame_checks import empty_note, empty_rows, refuse_mosaic, uniform_note
 from labdaemon.imaging.grey_files import PNG_MAGIC, read_png, read_tiff
 from labdaemon.imaging.library_output import captured_stderr
+from labdaemon.plain_file import check_plain_file
 
 __all__ = ["RawFrame", "check_frame", "mean_frame", "read_frame"]
 
@@ -101,8 +101,7 @@ def check_frame(frame: RawFrame) -> RawFrame:
 
 def _magic(path: Path) -> bytes:
     try:
-        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would wait for whoever writes it
-            raise DataError("is no file, but a folder or a device", file=path)
+        check_plain_file(path)
         with path.open("rb") as stream:
             head = stream.read(8)
     except FileNotFoundError:

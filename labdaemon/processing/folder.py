@@ -30,7 +30,10 @@ from labdaemon.processing.survey import (
     read_targets,
 )
 
-NOT_FRAMES = frozenset({".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf"})
+NOT_FRAMES = frozenset(
+    {".toml", ".csv", ".txt", ".json", ".xmp", ".md", ".part", ".tmp", ".html", ".pdf", ".db", ".ini", ".lnk"}
+)
+"""Endings of notes, of what is still being written, and of what file managers leave (``Thumbs.db``)."""
 SAME_FREQUENCY = 1e-3
 """Relative difference up to which two stated frequencies are one: a generator's setting and a gauge's reading of it."""
 AMBIENT_SD = (0.02, 0.002)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labdaemon.errors import DataError
+from labdaemon.plain_file import check_plain_file
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, Row, Value
 
 REMEDY = "`labdaemon process` writes it anew"
@@ -36,6 +37,7 @@ def read_csv(path: Path) -> list[Row]:
     DataError
         The file cannot be read, or is no such file (any more): one line with the place and what to do.
     """
+    check_plain_file(path)
     try:
         # A spreadsheet puts a byte order mark at the beginning; it does no harm.
         text = path.read_text(encoding="utf-8-sig")

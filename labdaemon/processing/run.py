@@ -8,12 +8,13 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from labdaemon.durable import check_place
 from labdaemon.errors import ConfigError, DataError
 from labdaemon.journal.gauge_table import write_gauges
 from labdaemon.processing.envelope import CaptureResult, join_frames, measure_in_folder
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.pool import WorkerPool
-from labdaemon.processing.results_place import ResultsFolders
+from labdaemon.processing.results_place import FILES, RESULTS, ResultsFolders
 from labdaemon.processing.sharpset import SharpSet, assemble, prepare_in_folder, prepare_sharp
 from labdaemon.processing.tables import ENVELOPE_COLUMNS, MEASUREMENT_COLUMNS, write_csv
 
@@ -110,7 +111,7 @@ def process_folder(
     Raises
     ------
     DataError, ConfigError
-        The input cannot be used: one line naming the file; nothing is written then.
+        The input cannot be used, or the results cannot be written: one line naming the file; nothing is written then.
     """
     opened, place = open_folder(folder), ResultsFolders.of(folder)
     if method is not None:
@@ -118,6 +119,7 @@ def process_folder(
         rig = opened.rig.model_copy(update={"processing": settings})
         opened = replace(opened, rig=rig)
     todo = jobs(opened)
+    check_place(out or folder / RESULTS, FILES)
     tell = progress or (lambda _what, _done, _of: None)
     with contextlib.nullcontext(pool) if pool is not None else WorkerPool() as workers:
         sets = _prepare(opened, todo, workers, tell)

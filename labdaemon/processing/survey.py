@@ -11,6 +11,7 @@ from pathlib import Path
 
 from labdaemon.blur import MIN_SIDE_PX
 from labdaemon.errors import DataError
+from labdaemon.plain_file import check_plain_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,7 @@ class PatchBox:
 
 def _rows(path: Path, columns: tuple[str, ...], names: int = 1) -> list[tuple[tuple[str, ...], list[float]]]:
     """Rows of a CSV file: the first `names` columns, which together are unique, as text, the others as numbers."""
+    check_plain_file(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:

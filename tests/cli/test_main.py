@@ -81,7 +81,8 @@ def test_stop_without_a_daemon_says_what_stops_the_table() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["no-such-command"], ["process"], ["process", "/nonexistent"], ["measure", "/nonexistent.dng"], ["run", "/nope"],
+        ["no-such-command"], ["process"], ["process", "/nonexistent"], ["measure", "/nonexistent.dng"],
+        ["run", "/nope"],
         ["measure", "--sharp", "/", "/"], ["measure", "--method", "x"], ["process", "new\nline\x1b[31m"],
         ["process", b"half\xff"],
     ],

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,12 @@ def test_refuses_a_bad_survey(tmp_path: Path, text: str, said: str) -> None:
         read_control(path, 36.0)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_pipe_in_its_place_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "control.csv")
+    with pytest.raises(DataError, match="it is no file"):
+        read_control(tmp_path / "control.csv", 36.0)
 
 
 def test_targets_in_metres_are_refused_and_millimetres_taken(tmp_path: Path) -> None:
