@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labdaemon.record_range import RecordError, check_range, smallest_step
+from labdaemon.record_range import RecordError, check_range, check_shape, smallest_step
+from labdaemon.record_time import MIN_READINGS_PER_CYCLE, check_frequency, check_rate, check_steady, check_times
 from labdaemon.sine_fit import fit_free_sine
 
 FloatArray = NDArray[np.float64]
@@ -31,8 +32,6 @@ MAX_ORDER = 5
 """Highest harmonic looked for."""
 MIN_CYCLES = 1.0
 """Below one cycle, offset and drift explain what the sine should."""
-MIN_READINGS_PER_CYCLE = 2.5
-"""With fewer a sine and its alias look the same."""
 MIN_EXCESS_READINGS = 8
 """Readings beyond the number of unknowns; with fewer the noise is hardly known."""
 MAX_BAD_SHARE = 0.2
@@ -44,6 +43,8 @@ MIN_READINGS_FOR_OUTLIERS = 50
 """The median size of fewer residuals is too uncertain to judge any by it."""
 DITHER = 0.4
 """Noise below this part of the converter's step leaves errors that repeat in every cycle, and do not average out."""
+MOST_READINGS, AVERAGED_PER_CYCLE = 50_000, 200
+"""A record of more is averaged, as far as so many remain of each cycle: the fifth harmonic loses 0.1 %."""
 MAX_PHASE_SD_RAD = 1.0
 """A phase that is known no better than this is none."""
 ITERATIONS = 12
@@ -93,7 +94,8 @@ class PeriodicFit:
     noise
         Standard deviation of a reading about the model.
     readings, cycles
-        Readings used, and cycles of the fundamental that the record spans.
+        Readings used, means of neighbours where there are very many, and cycles of the fundamental that the record
+        spans.
     """
 
     frequency_hz: float
@@ -129,12 +131,11 @@ def fit_periodic(
     Raises
     ------
     RecordError
-        Too few readings or cycles, a rate too low for the frequency, a record that is clipped, stuck, full of outliers
-        or without numbers, or, where the frequency is searched for, noise alone.
+        Too few readings or cycles, a rate too low for the frequency, a record that is clipped, stuck, full of outliers,
+        without numbers, at another frequency or not steady, or, where the frequency is searched for, noise alone.
     """
     t_s, y = np.asarray(t_s, np.float64), np.asarray(y, np.float64)
-    if t_s.ndim != 1 or t_s.shape != y.shape or not np.isfinite(t_s).all() or np.any(np.diff(t_s) < 0):
-        raise RecordError("the record's times do not ascend, or are not one for each reading")
+    check_times(t_s, y)
     usable = np.isfinite(y)
     if usable.size == 0 or not usable.any():
         raise RecordError("the record holds no readings")
@@ -144,18 +145,41 @@ def fit_periodic(
     check_range(values)
     if frequency_hz is None:
         frequency_hz, sd_frequency_hz = _search(t, values), math.inf
-    _check_rate(t_s, frequency_hz)
+    check_rate(t_s, frequency_hz)
+    t, values = _averaged(t, values, frequency_hz)
     fit = _fit(t, values, frequency_hz, sd_frequency_hz)
     if math.isinf(sd_frequency_hz) and fit.frequency_hz * float(t[-1] - t[0]) < MIN_CYCLES:
         raise RecordError("less than a cycle of the strongest sine: it may be drift")
     if values.size < MIN_READINGS_FOR_OUTLIERS:
-        return _result(fit)
+        return _checked(fit, values, frequency_hz)
     # A spike would fill the residuals by which the others are judged: out with them, and fit once more.
     residual = np.abs(fit.residual)
     keep = residual <= OUTLIER * max(float(np.median(residual)), smallest_step(values), 1e-12)
     if 1.0 - keep.mean() > MAX_OUTLIER_SHARE:
         raise RecordError(f"{1.0 - keep.mean():.0%} of the record are outliers")
-    return _result(fit if keep.all() else _fit(t[keep], values[keep], frequency_hz, sd_frequency_hz))
+    if not keep.all():
+        fit = _fit(t[keep], values[keep], frequency_hz, sd_frequency_hz)
+    return _checked(fit, values[keep], frequency_hz)
+
+
+def _averaged(t: FloatArray, y: FloatArray, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Means of neighbours that stand for the readings of a record of very many."""
+    span_s = float(t[-1] - t[0])
+    size = min(t.size // MOST_READINGS, int(t.size / (AVERAGED_PER_CYCLE * max(span_s * frequency_hz, 1.0))))
+    if size < 2:
+        return t, y
+    whole = t.size // size * size
+    return t[:whole].reshape(-1, size).mean(axis=1), y[:whole].reshape(-1, size).mean(axis=1)
+
+
+def _checked(fit: _LinearFit, y: FloatArray, stated_hz: float) -> PeriodicFit:
+    """The result, if the record moves alike from begin to end, and at the frequency that was stated."""
+    result = _result(fit)
+    check_steady(fit.t_s, y, fit.frequency_hz)
+    check_shape(y, y - fit.residual, result.readings / result.cycles)
+    if result.phase_rad is not None:
+        check_frequency(fit.frequency_hz, stated_hz)
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -334,14 +358,6 @@ def _orders(t: FloatArray, frequency_hz: float) -> int:
     shown = int(rate_hz / (MIN_READINGS_PER_CYCLE * frequency_hz))
     carried = (t.size - MIN_EXCESS_READINGS - 3) // 4
     return max(1, min(MAX_ORDER, shown, carried))
-
-
-def _check_rate(t: FloatArray, frequency_hz: float) -> None:
-    if t.size < 2 or t[-1] <= t[0]:
-        raise RecordError(f"{t.size} readings are too few")
-    rate_hz = (t.size - 1) / float(t[-1] - t[0])
-    if not frequency_hz > 0 or rate_hz < MIN_READINGS_PER_CYCLE * frequency_hz:
-        raise RecordError(f"{rate_hz:.3g} readings/s are too few for {frequency_hz:.4g} Hz")
 
 
 def _search(t: FloatArray, y: FloatArray) -> float:

@@ -127,7 +127,7 @@ def read_text(path: Path) -> str:
     if len(raw) > MAX_BYTES:
         raise ConfigError(f"is larger than {MAX_BYTES} bytes, so it is no configuration", source=path)
     try:
-        return raw.decode()
+        return raw.decode("utf-8-sig")  # an editor's byte order mark does no harm
     except UnicodeDecodeError as exc:
         raise ConfigError(f"is not UTF-8 text (byte {exc.start})", source=path) from None
 

@@ -144,7 +144,15 @@ def _sine(t: FloatArray) -> FloatArray:
         (lambda t: np.full(t.size, math.nan), 5.0, "no readings"),
         (lambda t: np.where(np.arange(t.size) % 3 == 0, math.nan, _sine(t)), 5.0, "no numbers"),
         (lambda t: _sine(t) + 50.0 * (np.arange(t.size) % 20 == 0), 5.0, "outliers"),
+        (lambda t: np.where(t < 0.5, _sine(t), 0.0), 5.0, "changes by .* during the record"),  # silent for half
+        (lambda t: np.where(t < 0.9, _sine(t), 0.0), 5.0, "changes by"),
+        (lambda t: _sine(t + 0.05 * (t > 0.4)), 5.0, "changes by"),  # readings lost without their times
+        (lambda t: _sine(1.6 * t), 5.0, "changes by"),  # at 8 Hz
+        (lambda t: _sine(1.03 * t), 5.0, "changes by"),
+        (lambda t: (1.5 * _sine(t) + 1) % 2 - 1, 5.0, "jumps over its whole range"),
+        (lambda t: np.clip(_sine(t), -2, 0.7) + np.random.default_rng(3).normal(0, 1e-3, 500), 5.0, "clipped near"),
         (_sine, 0.7, "cycles are too few"),
+        (_sine, RATE_HZ / 4, "harmonic 3 looks like the motion itself"),
         (_sine, 240.0, "readings/s are too few"),
         (lambda t: np.random.default_rng(9).normal(size=t.size), None, "no sine stands out"),
     ],
@@ -162,6 +170,34 @@ def test_a_handful_of_readings_gives_a_reason(n: int) -> None:
     t = np.arange(n) / 10.0
     with pytest.raises(RecordError, match=r"too few|no readings|equal readings"):
         fit_periodic(t, np.sin(2 * np.pi * 1.3 * t), 1.3)
+
+
+def test_what_is_steady_enough_is_measured() -> None:
+    rng = np.random.default_rng(12)
+    for change in (lambda t: 1 + 0.1 * t, lambda t: 1 + 0.2 * np.sin(40 * t), lambda t: 1 + 0.3 * np.cos(314 * t)):
+        for noise in (1e-3, 1.0):
+            t = np.arange(500) / RATE_HZ
+            fit = fit_periodic(t, change(t) * _sine(t) + rng.normal(0, noise, 500), 5.0, sd_frequency_hz=5e-3)
+            assert abs(fit.amplitude - 1.0) < 4 * fit.sd + 0.06
+
+
+def test_a_clock_that_is_far_off_is_refused() -> None:
+    t = np.arange(500) / RATE_HZ
+    with pytest.raises(RecordError, match=r"it moves at 5\.15 Hz, not at 5 Hz"):
+        fit_periodic(t, _sine(1.03 * t), 5.0, sd_frequency_hz=5e-2)
+
+
+def test_packets_of_readings_with_one_time_are_refused() -> None:
+    t = np.repeat(np.arange(0, 500, 10) / RATE_HZ, 10)
+    with pytest.raises(RecordError, match="90% of the readings have the time of the one before"):
+        fit_periodic(t, _sine(t), 5.0)
+
+
+def test_a_record_of_very_many_readings_is_averaged() -> None:
+    t, y, *_ = record(np.random.default_rng(13), n=400_000, rate_hz=400_000.0)
+    fit = fit_periodic(t, y, 5.0, sd_frequency_hz=5e-3)
+    assert fit.readings == 50_000
+    assert abs(fit.amplitude - 1.0) < 5 * fit.sd < 5e-4
 
 
 def test_times_that_do_not_ascend_are_refused() -> None:

@@ -42,6 +42,11 @@ BOMBS = {
 }
 
 
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path):
+    (tmp_path / "rig.toml").write_text("a = 1\n", encoding="utf-8-sig")
+    assert read_toml(tmp_path / "rig.toml")[1] == {"a": 1}
+
+
 @pytest.mark.parametrize("text", BOMBS.values(), ids=BOMBS)
 def test_bombs_are_refused_at_once(text: str):
     began = time.process_time()

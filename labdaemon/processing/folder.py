@@ -36,6 +36,8 @@ NOT_FRAMES = frozenset(
 """Endings of notes, of what is still being written, and of what file managers leave (``Thumbs.db``)."""
 SAME_FREQUENCY = 1e-3
 """Relative difference up to which two stated frequencies are one: a generator's setting and a gauge's reading of it."""
+GAUGE_CLOCK = 0.05
+"""Relative difference up to which a gauge's clock may disagree about a frequency."""
 AMBIENT_SD = (0.02, 0.002)
 """Standard deviation of ambient light that is stated without one: relative to it, and in parts of the lamp's light."""
 TONE_MAPPED = frozenset({".jpg", ".jpeg", ".heic", ".gif", ".webp"})
@@ -84,6 +86,19 @@ class CaptureFile(BaseModel):
         if not isinstance(gauges, dict):
             return {}
         return {name: {**one, "gauge": name} for name, one in gauges.items() if isinstance(one, dict)}
+
+    @model_validator(mode="after")
+    def _gauges_can_be(self) -> CaptureFile:
+        """Refuse what no gauge shows: amplitudes that are no numbers, and a motion at another frequency."""
+        for name, motion in self.gauges.items():
+            for key, value in motion.model_dump(exclude_none=True).items():
+                is_size = key.startswith(("sd_", "amplitude_")) or key in ("h2_mm", "h3_mm", "h4_mm", "h5_mm")
+                if isinstance(value, float) and (not math.isfinite(value) or (is_size and value < 0)):
+                    raise ValueError(f"gauges.{name}.{key} = {value:g} is no such number")
+            seen, stated = motion.frequency_hz, self.frequency_hz
+            if seen is not None and stated is not None and abs(seen / stated - 1.0) > GAUGE_CLOCK:
+                raise ValueError(f"gauges.{name}.frequency_hz = {seen:g}, but frequency_hz = {stated:g}")
+        return self
 
     @field_validator("light", mode="before")
     @classmethod

@@ -131,6 +131,7 @@ def test_gauges_of_a_capture_are_read_by_name(folder: Path) -> None:
     assert (one.gauge, one.amplitude_mm, one.h3_mm, one.phase_rad) == ("table", 2.0, 0.1, None)
     (folder / "captures/c1/capture.toml").write_text("gauges = 'none'\n")
     assert open_folder(folder).gauges("c1") == ()
-    (folder / "captures/c1/capture.toml").write_text("[gauges.table]\namplitude_mm = 'two'\n")
-    with pytest.raises(ConfigError, match=r"gauges\.table\.amplitude_mm"):
-        open_folder(folder).gauges("c1")
+    for wrong in ("amplitude_mm = 'two'", "amplitude_mm = -2.0", "h3_mm = nan", "sd_h3_mm = inf", "frequency_hz = 8.0"):
+        (folder / "captures/c1/capture.toml").write_text(f"frequency_hz = 5.0\n[gauges.table]\n{wrong}\n")
+        with pytest.raises(ConfigError, match=rf"c1/capture\.toml: .*gauges\.table\.{wrong.split()[0]}"):
+            open_folder(folder).gauges("c1")
