@@ -15,6 +15,7 @@ from labdaemon.blur.frame import measure_displacement, measure_frame
 from labdaemon.blur.group import measure_group
 from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
+from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import (
@@ -42,7 +43,7 @@ from labdaemon.blur.prediction import (
     sd_of_information,
 )
 from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
-from labdaemon.blur.shared_ambient import share_ambient
+from labdaemon.blur.shared_ambient import CommonAmbient, estimate_common_ambient, free_ambient, share_ambient
 from labdaemon.blur.sharp.fit_sharp import fit_sharp, unmeasurable_target
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import MIN_SIDE_PX, make_textured_patch
@@ -53,9 +54,11 @@ from labdaemon.blur.unsolvable import solved
 from labdaemon.blur.waveform import MotionWaveform
 
 __all__ = [
+    "LIGHT",
     "MEASURE",
     "MIN_SIDE_PX",
     "TEXTURE_MAP",
+    "CommonAmbient",
     "Defocus",
     "Dot",
     "DotImage",
@@ -81,6 +84,7 @@ __all__ = [
     "average_measurements",
     "decide_sign",
     "ellipse_from_moments",
+    "estimate_common_ambient",
     "estimate_frame_defocus",
     "estimate_noise",
     "estimate_waveform",
@@ -89,6 +93,7 @@ __all__ = [
     "find_relative_signs",
     "fit_ellipse",
     "fit_sharp",
+    "free_ambient",
     "light_fraction",
     "make_textured_patch",
     "measure",

@@ -32,20 +32,23 @@ class LightSettings:
     """Parts of the cycle whose brightness is checked, where the code has more sectors."""
     light_correction_sd: float = 0.05
     """Standard deviation up to which a correction of the brightness counts as seen. Trial."""
-    light_mismatch_probability: float = 1e-6
-    """Probability of the corrections, the code being played, below which it was not. Statistics."""
+    light_mismatch_probability: float = 1e-3
+    """Probability of the corrections, the code being played, below which it was not. Statistics: one capture in a
+    thousand."""
+    least_light_effect_sd: float = 0.3
+    """Error of the motions, in their standard deviations, that counts: less is within any comparison's scatter."""
     constant_light_gain: float = 16.0
     """Squared standard deviations by which constant light must explain a frame better. Statistics: four sd."""
-    light_mismatch_rms: float = 0.03
-    """Root mean square correction, in parts of the full brightness, that counts. Trial: lamps fade and warm up."""
     outlier_share: float = 0.25
     """Largest share of targets that are left out of the check of the code because they contradict it most. Trial."""
     least_agreement: float = 0.1
     """Part of the squared standard deviations of all targets that the others must have, too. Trial."""
+    unknown_noise_scale: float = 16.0
+    """Squared standard deviations of residuals that count as one where noise is not known, or a patch's own. Trial."""
+    agreement_probability: float = 0.05
+    """Probability of the others' corrections, the code being played, below which they agree. Statistics."""
     least_eigenvalue: float = 1e-6
     """Eigenvalue of a target's information, relative to the largest, below which a correction is not seen. Numerics."""
-    light_mismatch_cost: float = 16.0
-    """Squared standard deviations a target from which a correction of any size counts. Statistics: four sd in each."""
     min_ambient_targets: int = 4
     """Other targets of a frame from which their common ambient light replaces the stated one. Trial: their scatter must
     show."""
@@ -53,6 +56,16 @@ class LightSettings:
     """Information of an image on the ambient light, over the prior's, that counts. Numerics."""
     ambient_scatter_probability: float = 0.05
     """Probability of the targets' differences below which the ambient light differs between places. Statistics."""
+    ambient_contradiction_sd: float = 4.0
+    """Standard deviations by which the images must contradict the stated ambient light before it is put aside.
+    Statistics: four sd."""
+    max_ambient_scatter: float = 0.25
+    """Scatter between places, in parts of the correction, up to which ambient light explains it. Trial."""
+    ambient_explains_probability: float = 0.05
+    """Probability of what is left, the code being played, from which free ambient light explains the frames: it also
+    takes up a part of a wrong code. Statistics."""
+    free_ambient_sd: float = 0.5
+    """Standard deviation of ambient light that was stated wrongly, in parts of the lamp's full brightness. Trial."""
     coded_minima: int = 6
     """Local minima of the phase profile that are refined where the phase shows. Trial."""
     code_axes: int = 3  # axes about which a code most resembles its mirror image, each tried as a twin; trial

@@ -116,11 +116,15 @@ class LightScore:
         (n,) its product with the corrections that explain the residuals best.
     constant_excess
         By how many squared standard deviations constant light explains the image less well than the code.
+    response_sd
+        (4, n) change of a and b by the corrections, where the fit does not know of them, along the axes of their
+        covariance and in its standard deviations; None where that is not known.
     """
 
     information: FloatArray
     score: FloatArray
     constant_excess: float = 0.0
+    response_sd: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

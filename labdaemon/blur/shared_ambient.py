@@ -24,7 +24,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from labdaemon.blur.light_settings import LIGHT
-from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, Measurement
+from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import PHASE
 from labdaemon.flags import Flag
@@ -60,6 +60,59 @@ def share_ambient(measured: Sequence[Measurement]) -> list[Measurement]:
         if len(others) >= LIGHT.min_ambient_targets:
             result[index] = _with_known(one, _combine(others))
     return result
+
+
+@dataclass(frozen=True, slots=True)
+class CommonAmbient:
+    """What the images of a frame's targets say of the ambient light, without what was stated of it.
+
+    Attributes
+    ----------
+    correction, sd
+        Of the stated ambient light, in parts of the lamp's full brightness; the scatter between places is in it.
+    scatter
+        Standard deviation between places beyond the noise.
+    """
+
+    correction: float
+    sd: float
+    scatter: float = 0.0
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether all targets ask for nearly the same correction, as they do where ambient light is to blame."""
+        return self.scatter < LIGHT.max_ambient_scatter * abs(self.correction)
+
+    def contradicts(self, stated_sd: float) -> bool:
+        """Whether it and what was stated exclude each other."""
+        return abs(self.correction) > LIGHT.ambient_contradiction_sd * float(np.hypot(self.sd, stated_sd))
+
+
+def free_ambient(window: ExposureWindow) -> ExposureWindow:
+    """The exposure with ambient light of which next to nothing is known."""
+    light = window.light
+    if light is None:
+        return window
+    return replace(window, light=replace(light, sd_ambient=max(light.sd_ambient, LIGHT.free_ambient_sd)))
+
+
+def estimate_common_ambient(measured: Sequence[Measurement]) -> CommonAmbient | None:
+    """The ambient light by all targets of a frame, or of a group of frames; None where no image shows it.
+
+    Parameters
+    ----------
+    measured
+        Of one camera, before `share_ambient`.
+    """
+    estimates = [one.ambient for one in measured if one.ambient is not None and not one.flags]
+    estimates = [one for one in estimates if _precision(one) > 0]
+    if not estimates:
+        return None
+    weight = np.array([_precision(one) for one in estimates])
+    value = np.array([_image_value(one) for one in estimates])
+    scatter = _scatter_between(value, weight) if len(value) > 1 else 0.0
+    weight = 1 / (1 / weight + scatter)
+    return CommonAmbient(float(weight @ value / weight.sum()), float(weight.sum() ** -0.5), float(np.sqrt(scatter)))
 
 
 def _precision(estimate: AmbientEstimate) -> float:

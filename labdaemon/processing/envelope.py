@@ -19,6 +19,7 @@ from labdaemon.geometry import (
     intersect_targets,
     map_motion_to_plane,
 )
+from labdaemon.processing.common_light import check_common_light
 from labdaemon.processing.exposure import exposure_window
 from labdaemon.processing.folder import DataFolder, check_frequencies, open_folder
 from labdaemon.processing.frame import FrameResult, measure_frames
@@ -127,6 +128,7 @@ def join_frames(
     captures, name
         As in `measure_capture`.
     """
+    frames = check_common_light(frames)
     by_target, evidence = _by_target(sharp, frames)
     rows = [
         measurement_row(name, frame.camera, measurement, decide_sign(frame.evidence_of(index)))
@@ -158,6 +160,7 @@ def join_motions(sharp: SharpSet, frames: Sequence[FrameResult]) -> dict[str, tu
     sharp, frames
         As in `join_frames`, of two cameras or more.
     """
+    frames = check_common_light(frames)
     by_target, evidence = _by_target(sharp, frames)
     views = _views(sharp, frames)
     joined = _intersect_in_space(sharp, views, by_target, evidence)

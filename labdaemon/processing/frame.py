@@ -26,7 +26,7 @@ from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
 from labdaemon.processing.group import holds_phase, is_part_cycle
-from labdaemon.processing.lamp_light import apply_lamp_light, describe_light
+from labdaemon.processing.lamp_light import describe_ambient, describe_light, measure_under_code
 from labdaemon.processing.located import LocatedTargets, cut_patch, fit_inputs, measure_first, measure_smears
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.motion_laws import MotionLaws
@@ -279,13 +279,18 @@ def _measure_together(
     """
     phased = [window for window in windows if window is not None and holds_phase(window)]
     if len(phased) == len(windows):
-        found = [
-            _measure_phased(target, located_frames, phased, index, laws) for index, target in enumerate(camera.targets)
+
+        def measure(windows: Sequence[ExposureWindow]) -> list[Measurement]:
+            return [_measure_phased(one, located_frames, windows, k, laws) for k, one in enumerate(camera.targets)]
+
+        seen = measure_under_code(measure, phased)
+        coded = [each for each in zip(located_frames, phased, strict=True) if each[1].is_coded]
+        said = [
+            (one.frame.path, describe_light(fault)) for (one, _), fault in zip(coded, seen.faults, strict=True) if fault
         ]
-        coded = [located.frame for located, window in zip(located_frames, phased, strict=True) if window.is_coded]
-        found, faults = apply_lamp_light(found, len(coded))
-        said = zip(coded, faults, strict=True)
-        return found, [f"{frame.path}: {describe_light(fault)}" for frame, fault in said if fault is not None]
+        if seen.ambient is not None:
+            said += [(one.frame.path, describe_ambient(window, seen.ambient)) for one, window in coded]
+        return seen.measured, [f"{path}: {what}" for path, what in said]
     each = [
         _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
     ]

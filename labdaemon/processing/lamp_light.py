@@ -2,13 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur import LightFault, Measurement, find_light_fault, share_ambient
+from labdaemon.blur import (
+    LIGHT,
+    CommonAmbient,
+    ExposureWindow,
+    LightFault,
+    Measurement,
+    estimate_common_ambient,
+    find_light_fault,
+    free_ambient,
+    share_ambient,
+)
 from labdaemon.flags import Flag
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodedMeasurement:
+    """All targets of one camera under coded light.
+
+    Attributes
+    ----------
+    measured
+        The targets, flagged where the lamp did not play the stated code.
+    faults
+        For each frame under coded light how its light differed; None where it did not.
+    ambient
+        The ambient light that was measured with, where what was stated is wrong.
+    """
+
+    measured: list[Measurement]
+    faults: list[LightFault | None]
+    ambient: CommonAmbient | None = None
+
+
+def measure_under_code(
+    measure: Callable[[Sequence[ExposureWindow]], list[Measurement]], windows: Sequence[ExposureWindow]
+) -> CodedMeasurement:
+    """Measure with the stated light; where the images contradict that, with the ambient light that they show.
+
+    Parameters
+    ----------
+    measure
+        Measures all targets of a camera through these windows.
+    windows
+        As stated, one a frame.
+    """
+    coded = sum(window.is_coded for window in windows)
+    found = measure(windows)
+    first = CodedMeasurement(*apply_lamp_light(found, coded))
+    stated_sd = max((window.light.sd_ambient for window in windows if window.light is not None), default=0.0)
+    if not _asks_for_other_ambient(first, estimate_common_ambient(found), stated_sd):
+        return first
+    again = measure([free_ambient(window) for window in windows])
+    ambient = estimate_common_ambient(again)
+    if ambient is None or not ambient.contradicts(stated_sd):
+        return first
+    shared = share_ambient(again)
+    left = find_light_faults(shared, coded, LIGHT.ambient_explains_probability)
+    if ambient.is_uniform and not any(left):
+        return CodedMeasurement(shared, [None] * coded, ambient)
+    if any(first.faults):
+        return first
+    other = LightFault(is_constant=False, rms=abs(ambient.correction))
+    return CodedMeasurement(flag_light_mismatch(shared), [one or other for one in left])
+
+
+def _asks_for_other_ambient(first: CodedMeasurement, ambient: CommonAmbient | None, stated_sd: float) -> bool:
+    """Whether another ambient light may explain the frames."""
+    if any(fault is not None and fault.is_constant for fault in first.faults):
+        return False
+    return any(first.faults) or (ambient is not None and ambient.contradicts(stated_sd))
+
+
+def describe_ambient(window: ExposureWindow, ambient: CommonAmbient) -> str:
+    """What ambient light was stated, and what the images show."""
+    stated = 0.0 if window.light is None else window.light.ambient
+    return (
+        f"shows ambient light of {stated + ambient.correction:.3f} of the lamp's, with a standard deviation of "
+        f"{ambient.sd:.3f}, where {stated:.3g} was stated: the targets are measured with the former; correct ambient"
+    )
 
 
 def apply_lamp_light(
@@ -33,10 +110,22 @@ def apply_lamp_light(
     return (flag_light_mismatch(shared) if any(faults) else shared), faults
 
 
-def find_light_faults(measured: Sequence[Measurement], coded_frames: int) -> list[LightFault | None]:
-    """How the light of each frame under coded light differed from its code; None where it did not."""
+def find_light_faults(
+    measured: Sequence[Measurement], coded_frames: int, probability: float = LIGHT.light_mismatch_probability
+) -> list[LightFault | None]:
+    """How the light of each frame under coded light differed from its code; None where it did not.
+
+    Parameters
+    ----------
+    measured
+        Targets that saw the same light.
+    coded_frames
+        How many of their frames are under coded light.
+    probability
+        As for `find_light_fault`.
+    """
     scored = [one.light_scores for one in measured if len(one.light_scores) == coded_frames]
-    return [find_light_fault([scores[frame] for scores in scored]) for frame in range(coded_frames)]
+    return [find_light_fault([scores[frame] for scores in scored], probability) for frame in range(coded_frames)]
 
 
 def flag_light_mismatch(measured: Sequence[Measurement]) -> list[Measurement]:

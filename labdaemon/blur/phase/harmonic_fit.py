@@ -161,7 +161,7 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     return replace(
         found,
         alternatives=alternatives,
-        light_scores=score_light(frame_set, best, window_orbit_transfer, moment_px2),
+        light_scores=score_light(frame_set, best, window_orbit_transfer, moment_px2, selector, covariance),
         ambient=None if phase_unresolved else ambient_estimate(frame_set, refined, full, selector),
     )
 
@@ -206,6 +206,10 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
             _cost_excess(best, rival), selector @ (rival.p - best.p), linear, vectors, covariance
         )
     held = np.zeros((6, 6))
+    scores = tuple[LightScore, ...]()
+    if profile.coded:
+        by_parameters = in_phase_jacobian(selector @ best.p) @ selector
+        scores = score_light(frame_set, best, window_in_phase_transfer, moment_px2, by_parameters, covariance)
     return HarmonicFit(
         in_phase.value,
         covariance,
@@ -219,7 +223,7 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
         in_phase.phase_unresolved,
         ambiguous,
         alternatives=alternatives,
-        light_scores=score_light(frame_set, best, window_in_phase_transfer, moment_px2) if profile.coded else (),
+        light_scores=scores,
         ambient=ambient,
     )
 

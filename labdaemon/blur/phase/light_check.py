@@ -20,19 +20,26 @@ from scipy.stats import chi2
 from labdaemon.blur.light_code import LightCode
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import ExposureWindow, LightScore
-from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import PHASE
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory, window_orbit_transfer
+from labdaemon.blur.smear.gls_frames import frame_products
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import light_parts
+from labdaemon.least_squares import scaled_inverse
 
 _Item = TypeVar("_Item")
 
 
 def score_light(
-    frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory, moment_px2: FloatArray
+    frame_set: FrameSet,
+    solution: Solution,
+    transfer_factory: TransferFactory,
+    moment_px2: FloatArray,
+    by_parameters: FloatArray,
+    covariance_px2: FloatArray,
 ) -> tuple[LightScore, ...]:
     """One score for each frame under coded light.
 
@@ -42,28 +49,72 @@ def score_light(
         A fit under weights for independent noise.
     moment_px2
         (2, 2) aaᵀ + bbᵀ by the smear's moments.
+    by_parameters
+        (6, k) derivatives of x, y, ax, ay, bx, by by the parameters.
+    covariance_px2
+        (6, 6) of x, y, ax, ay, bx, by, as reported.
     """
     constant = _constant_excess(frame_set, solution, moment_px2)
-    reach = frame_set.max_amplitude_px(solution.p)
-    base, _ = frame_set.forward_model(transfer_factory, reach)(solution.p)
-    slope = -paper_level(frame_set.planes, solution.light) * solution.light[:, 3, None, None]
-    root = np.sqrt(solution.weight)
+    scale = max(solution.chi2, LIGHT.min_noise_scale)
+    if isinstance(frame_set.sharp.form, TexturedPatch) or not frame_set.sharp.noise_known:
+        scale *= LIGHT.unknown_noise_scale
+    columns = {
+        index: _part_columns(frame_set, solution, transfer_factory, index)
+        for index, window in enumerate(frame_set.windows)
+        if window.is_coded
+    }
+    prior = frame_set.prior(len(solution.p) - frame_set.first_motion)
+    normal, pull = prior.precision.copy(), -prior.precision @ (solution.p - prior.mean)
+    seen = []
+    for index, (own, products, _) in enumerate(frame_products(frame_set, solution, transfer_factory, None, columns)):
+        k = len(own)
+        normal[np.ix_(own, own)] += products[:k, :k]
+        pull[own] += products[:k, -1]
+        if index in columns:
+            cross = np.zeros((len(columns[index]), len(solution.p)))
+            cross[:, own] = products[k:-1, :k]
+            seen.append((products[k:-1, k:-1], products[k:-1, -1], cross))
+    covariance = scaled_inverse(normal)
+    whiten = _whitening(covariance_px2[2:, 2:])
     scores = []
-    for index, window in enumerate(frame_set.windows):
-        if not window.is_coded or window.light is None:
-            continue
-        rows = frame_set.rows(index)
-        columns = []
-        for part in _parts_of_cycle(window):
-            changed = [*frame_set.windows[:index], part, *frame_set.windows[index + 1 :]]
-            shown, _ = replace(frame_set, windows=changed).forward_model(transfer_factory, reach)(solution.p)
-            column = np.zeros_like(base)
-            column[rows] = (slope * (shown - base) * root)[rows] * _share(window, len(_parts_of_cycle(window)))
-            columns.append(column)
-        left = _project_out(np.stack(columns), solution)
-        scale = max(solution.chi2, LIGHT.min_noise_scale)
-        scores.append(LightScore(left @ left.T / scale, left @ solution.residual.ravel() / scale, constant))
+    for information, score, cross in seen:
+        response = -covariance @ cross.T
+        scores.append(
+            LightScore(
+                (information + cross @ response) / scale,
+                (score + response.T @ pull) / scale,
+                constant,
+                whiten @ (by_parameters @ response)[2:],
+            )
+        )
     return tuple(scores)
+
+
+def _whitening(covariance: FloatArray) -> FloatArray:
+    """(4, 4) that takes a change of a and b to standard deviations."""
+    values, vectors = np.linalg.eigh(covariance)
+    least = LIGHT.least_eigenvalue * max(float(values[-1]), 1e-300)
+    result: FloatArray = (vectors / np.sqrt(np.maximum(values, least))).T
+    return result
+
+
+def _part_columns(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory, index: int) -> FloatArray:
+    """(m, n, h, w) change of one frame's darkness by the brightness in each part of the cycle."""
+    window, rows = frame_set.windows[index], frame_set.rows(index)
+    reach = frame_set.max_amplitude_px(solution.p)
+    p, correction = solution.p.copy(), 0.0
+    base, _ = frame_set.forward_model(transfer_factory, reach)(p)
+    if frame_set.ambient_count:
+        # One part of the cycle alone has no ambient light.
+        correction = float(p[frame_set.first_motion - 1])
+        p[frame_set.first_motion - 1] = 0.0
+    columns = []
+    parts = _parts_of_cycle(window)
+    for part in parts:
+        changed = [*frame_set.windows[:index], part, *frame_set.windows[index + 1 :]]
+        shown, _ = replace(frame_set, windows=changed).forward_model(transfer_factory, reach)(p)
+        columns.append((shown - base)[rows] * _share(window, len(parts), correction))
+    return np.stack(columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,42 +134,82 @@ class LightFault:
     rms: float = 0.0
 
 
-def find_light_fault(scores: Sequence[LightScore]) -> LightFault | None:
-    """How the targets of a frame together contradict its code; None where they do not.
+def find_light_fault(
+    scores: Sequence[LightScore], probability: float = LIGHT.light_mismatch_probability
+) -> LightFault | None:
+    """How targets that saw the same light together contradict its code; None where they do not.
 
     Single targets with a wrong fit do not speak for all: without those that contradict it most, the others must, too.
 
     Parameters
     ----------
     scores
-        Of the frame's targets, for the same code.
+        Of the targets of a frame, or of the frames that several cameras took of it, for the same code.
+    probability
+        Of what is seen, the code being played, below which it was not.
     """
     gain = LIGHT.constant_light_gain
     if sum(max(one.constant_excess, -gain) for one in scores) <= -gain:
         return LightFault(is_constant=True)
     if not scores:
         return None
-    cost, limit, rms = _common_correction(scores)
-    # Light that flickers faster than the parts of the cycle changes their means little, but shows in each target.
-    if cost < limit or (rms < LIGHT.light_mismatch_rms and cost < LIGHT.light_mismatch_cost * len(scores)):
+    common = _common_correction(scores)
+    if common.probability > probability:
         return None
-    others, _, _ = _common_correction(_without_worst(scores, [_own_chi2(one) for one in scores]))
-    return LightFault(is_constant=False, rms=rms) if others > LIGHT.least_agreement * cost else None
+    # What no standard deviation would show needs no flag: lamps fade and warm up a little.
+    if _effect_sd(scores, common) < LIGHT.least_light_effect_sd:
+        return None
+    others = _common_correction(_without_worst(scores, [_own_chi2(one) for one in scores]))
+    agree = others.cost > LIGHT.least_agreement * common.cost and others.probability < LIGHT.agreement_probability
+    return LightFault(is_constant=False, rms=common.rms) if agree else None
 
 
-def _common_correction(scores: Sequence[LightScore]) -> tuple[float, float, float]:
-    """Squared standard deviations of the brightness from the code's, their limit, and the rms of the correction."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _CommonCorrection:
+    """The brightness of the parts of the cycle that targets ask for together.
+
+    Attributes
+    ----------
+    correction, covariance
+        (n,) and (n, n) along what the images show; 0 along the rest.
+    cost, probability
+        Squared standard deviations of the correction, and the probability of more, the code being played.
+    """
+
+    correction: FloatArray
+    covariance: FloatArray
+    cost: float
+    probability: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the correction."""
+        return float(np.sqrt(np.mean(self.correction**2)))
+
+
+def _common_correction(scores: Sequence[LightScore]) -> _CommonCorrection:
+    """The correction by least squares."""
     information = np.sum([one.information for one in scores], axis=0)
     score = np.sum([one.score for one in scores], axis=0)
     values, vectors = np.linalg.eigh(information)
     # All parts brighter, or the code turned with all phases, is not seen at all.
     seen = values > LIGHT.light_correction_sd**-2
-    if not seen.any():
-        return 0.0, math.inf, 0.0
-    along = vectors[:, seen].T @ score
-    rms = float(np.sqrt(np.sum((along / values[seen]) ** 2) / len(score)))
-    limit = float(chi2.isf(LIGHT.light_mismatch_probability, int(seen.sum())))
-    return float(np.sum(along**2 / values[seen])), limit, rms
+    values, vectors = values[seen], vectors[:, seen]
+    along = vectors.T @ score
+    cost = float(np.sum(along**2 / values))
+    probability = float(chi2.sf(cost, len(values))) if len(values) else 1.0
+    return _CommonCorrection(vectors @ (along / values), (vectors / values) @ vectors.T, cost, probability)
+
+
+def _effect_sd(scores: Sequence[LightScore], common: _CommonCorrection) -> float:
+    """Root mean square error of the targets' motions by the correction, in their standard deviations."""
+    squares = []
+    for one in scores:
+        if one.response_sd is None:
+            return math.inf
+        noise = float(np.sum((one.response_sd @ common.covariance) * one.response_sd))
+        squares.append((float(np.sum((one.response_sd @ common.correction) ** 2)) - noise) / len(one.response_sd))
+    return math.sqrt(max(float(np.mean(squares)), 0.0))
 
 
 def _own_chi2(one: LightScore) -> float:
@@ -169,23 +260,9 @@ def _parts_of_cycle(window: ExposureWindow) -> list[ExposureWindow]:
     ]
 
 
-def _share(window: ExposureWindow, count: int) -> float:
+def _share(window: ExposureWindow, count: int, correction: float) -> float:
     """Light of one part of the cycle at full brightness over all light."""
     light, parts = window.light, light_parts(window, 0.0)
     assert light is not None
-    return light.cycles / count / (parts.lamp_cycles + light.ambient * parts.room_cycles)
-
-
-def _project_out(columns: FloatArray, solution: Solution) -> FloatArray:
-    """(m, pixels) columns less what the fit's own parameters, illumination included, explain of them."""
-    planes, k = len(solution.light), len(solution.p)
-    jacobian = solution.whitened_jacobian.astype(np.float64)
-    flat = columns.reshape(len(columns), planes, -1)
-    own = np.concatenate((jacobian[:, :k].swapaxes(0, 1), flat))
-    for plane in range(planes):
-        light, _ = np.linalg.qr(jacobian[plane, k:].T)
-        own[:, plane] -= (own[:, plane] @ light) @ light.T
-    rows = own.reshape(len(own), -1)
-    basis, _ = np.linalg.qr(rows[:k].T)
-    result: FloatArray = rows[k:] - (rows[k:] @ basis) @ basis.T
-    return result
+    room = max((light.ambient + correction) * parts.room_cycles, -0.9 * parts.lamp_cycles)
+    return light.cycles / count / (parts.lamp_cycles + room)

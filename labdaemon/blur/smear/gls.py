@@ -104,6 +104,8 @@ class FramePart:
         (n, 4), (n, h, w) and (n, h, w) its rows of the solution, and where that has weight.
     dark, by_p
         (n, h, w) and (k, n, h, w) the model and its derivatives by x, y, extra blur, the shape and the motion.
+    extra_count
+        How many more of those follow, by what is no parameter of the fit.
     """
 
     planes: ColourPlanes
@@ -113,6 +115,7 @@ class FramePart:
     valid: BoolArray
     dark: FloatArray
     by_p: FloatArray
+    extra_count: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +168,7 @@ def frame_equations(
     size = tuple(int(fft.next_fast_len(length + GLS.margin_px, real=True)) for length in root.shape)
     if weights is None:
         amplitudes = texture_noise.texture_amplitudes(free[k + 3 : -1], free[-1], root)
-        unmapped = _unmapped_fraction(sharp, planes, free[3 + part.shape_count : k], root)
+        unmapped = _unmapped_fraction(sharp, planes, free[3 + part.shape_count : k - part.extra_count], root)
         paper = root > 0
         ratio = float(np.mean((root * signal)[paper] ** 2)) if paper.any() else 0.0
         keep = 1 / (1 + ratio * texture_noise.residual_spectrum(amplitudes, unmapped, size))

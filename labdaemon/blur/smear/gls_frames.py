@@ -7,7 +7,7 @@ the paper texture for evidence.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferF
 from labdaemon.blur.smear.gls import FramePart, FrameWeights, TextureMotion, frame_equations, refined_solution
 from labdaemon.blur.smear.texture_frames import refine_texture_frames
 from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.spectra.render import to_single
 from labdaemon.least_squares import scaled_inverse
 
 IN_PHASE_PARAMETERS = 3  # vx, vy, ψ
@@ -160,10 +161,19 @@ def frame_products(
     solution: Solution,
     transfer_factory: TransferFactory,
     weights: Sequence[FrameWeights] | None = None,
+    extra: Mapping[int, FloatArray] | None = None,
 ) -> Iterator[tuple[list[int], FloatArray, FrameWeights]]:
     """Each frame's products of `gls.frame_equations`, the parameters that they are of, and the frame's weights.
 
     The parameters are the frame's own and the common ones: the shape's, the ambient light's and the motion's.
+
+    Parameters
+    ----------
+    frame_set, solution, transfer_factory, weights
+        As for `compare_solutions`.
+    extra
+        For some frames (m, n, h, w) derivatives of their rows of the model by what is no parameter of the fit. Their
+        products follow those of the parameters.
     """
     p, first, ambient = solution.p, frame_set.first_motion, frame_set.ambient_count
     max_amplitude_px = frame_set.max_amplitude_px(p)
@@ -172,6 +182,7 @@ def frame_products(
     for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
         own = [*range(FRAME_PARAMETERS * index, FRAME_PARAMETERS * (index + 1)), *range(nuisance, len(p))]
         rows = frame_set.rows(index)
+        more = by_p[:0, rows] if extra is None or index not in extra else to_single(extra[index])
         part = FramePart(
             frame_set.planes_of(index),
             problem.shape_count + ambient,
@@ -179,7 +190,8 @@ def frame_products(
             solution.signal[rows],
             solution.weight[rows] > 0,
             dark[rows],
-            by_p[own][:, rows],
+            np.concatenate((by_p[own][:, rows], more)),
+            len(more),
         )
         transfer = frame_set.transfer(window, transfer_factory, max_amplitude_px)
         motion = TextureMotion.through_window(transfer, p[own[:FRAME_PARAMETERS]], p[first - ambient :])

@@ -71,12 +71,14 @@ def test_light_that_was_not_stated_is_seen_for_what_it_is(area, sharp, played, a
     assert fault.is_constant is is_constant
 
 
-def test_a_correction_counts_when_it_is_both_certain_and_large() -> None:
+def test_a_correction_counts_when_it_is_certain_and_changes_the_motions() -> None:
     information = np.diag([1e6, 1e6, 1.0])
     assert find_light_fault([LightScore(information, information @ [0.2, 0.0, 0.0])]) is not None
-    small = LightScore(information, information @ [0.003, 0.0, 0.0])
-    assert find_light_fault([small] * 4) is None  # certain, and small
-    assert find_light_fault([LightScore(information, information @ [0.01, 0.0, 0.0])]) is not None  # plain in a target
+    for response, is_fault in [(500.0, True), (50.0, False)]:  # 1.5 and 0.15 sd
+        effect = response * np.eye(4, 3)
+        small = LightScore(information, information @ [0.006, 0.0, 0.0], response_sd=effect)
+        assert (find_light_fault([small] * 4) is not None) is is_fault
+    assert find_light_fault([LightScore(information, information @ [0.002, 0.0, 0.0])]) is None  # noise
     assert find_light_fault([LightScore(information, information @ [0.0, 0.0, 0.9])]) is None  # large, and not seen
     assert find_light_fault([]) is None
 
@@ -84,7 +86,7 @@ def test_a_correction_counts_when_it_is_both_certain_and_large() -> None:
 def test_targets_add_up() -> None:
     """What one target does not show, many do."""
     information = np.diag([500.0, 500.0, 1.0])
-    one = LightScore(information, information @ [0.15, 0.0, 0.0])
+    one = LightScore(information, information @ [0.1, 0.0, 0.0])
     assert find_light_fault([one]) is None
     assert find_light_fault([one] * 10) is not None
 
