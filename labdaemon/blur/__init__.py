@@ -12,7 +12,7 @@ from labdaemon.blur.fit.refit import failure_flags
 from labdaemon.blur.fit.static_target import measure_static
 from labdaemon.blur.fit.texture import measure_moment
 from labdaemon.blur.frame import measure_displacement, measure_frame
-from labdaemon.blur.group import measure_group
+from labdaemon.blur.group import TargetFrames, estimate_group_harmonic, measure_group
 from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.light_code import LightCode, mirror_axes, named_code
 from labdaemon.blur.light_settings import LIGHT
@@ -79,6 +79,7 @@ __all__ = [
     "SharedWaveform",
     "SharpTarget",
     "StaticMeasurement",
+    "TargetFrames",
     "ThirdHarmonic",
     "Twin",
     "average_measurements",
@@ -86,6 +87,7 @@ __all__ = [
     "ellipse_from_moments",
     "estimate_common_ambient",
     "estimate_frame_defocus",
+    "estimate_group_harmonic",
     "estimate_noise",
     "estimate_waveform",
     "failure_flags",

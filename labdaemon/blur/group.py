@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,15 +17,27 @@ from labdaemon.blur.motion import Defocus, ExposureWindow, InitialGuess, Measure
 from labdaemon.blur.patch.pixels import Patch
 from labdaemon.blur.phase.harmonic_window import fit_with_harmonics
 from labdaemon.blur.phase.known_window import phased_measurement
+from labdaemon.blur.phase.window_evidence import BEST_PX, SIGN
+from labdaemon.blur.phase.window_harmonic import (
+    HarmonicEvidence,
+    WindowHarmonic,
+    harmonic_evidence,
+    says_harmonic,
+    window_harmonic,
+)
 from labdaemon.blur.settings import MEASURE
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.fit_problem import FitProblem
+from labdaemon.blur.smear.frame_set import FrameSet
 from labdaemon.blur.smear.member_agreement import flag_contradiction
 from labdaemon.blur.smear.mixed_motion import flag_mixed_motion
-from labdaemon.blur.unsolvable import flag_unsolvable
+from labdaemon.blur.unsolvable import flag_unsolvable, solved
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
+
+HARMONIC_TARGETS, FIRST_HARMONIC_TARGETS = 8, 4
+"""Targets of a group that are asked for a third harmonic, and of those the ones that are asked in any case."""
 
 
 @flag_unsolvable
@@ -75,21 +89,70 @@ def measure_group(
         return empty_measurement(sharp.name, {Flag.NOT_FOUND, *sharp.flags})
     if all(window.fraction < MEASURE.whole_cycle_tolerance and not window.is_coded for window in windows):
         return _average_whole_cycles(sharp, patches, windows, defocus, initial_guesses, harmonics)
-    blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
-    problems: list[FitProblem] = []
-    for index, patch in enumerate(patches):
-        guess = initial_guesses[index] if initial_guesses is not None else InitialGuess(sharp.centre_px)
-        problem = prepare_on_label(sharp, patch, guess, is_divided=windows[index].is_coded)
-        if problem is None:
-            return empty_measurement(sharp.name, {Flag.NOT_FOUND})
-        problems.append(problem)
-    there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
-    frame_set = measure_still_texture(sharp.with_scale_uncertainty(there), problems, windows, blurs)
+    frame_set = _prepare_frames(TargetFrames(sharp, patches, windows, defocus, initial_guesses))
     if isinstance(frame_set, Measurement):
         return frame_set
     frame_set, fitted = fit_with_harmonics(frame_set, harmonics)
     found = flag_mixed_motion(phased_measurement(frame_set, fitted), frame_set, fitted.solution)
     return flag_contradiction(found, frame_set, fitted.solution)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetFrames:
+    """A target in the frames of a group; as the parameters of `measure_group`."""
+
+    sharp: SharpTarget
+    patches: Sequence[Patch]
+    windows: Sequence[ExposureWindow]
+    defocus: Sequence[Defocus] | Defocus | None = None
+    initial_guesses: Sequence[InitialGuess] | None = None
+
+
+def estimate_group_harmonic(targets: Sequence[TargetFrames], measured: Sequence[Measurement]) -> WindowHarmonic | None:
+    """The third harmonic that the targets of a group of frames under constant light show together.
+
+    Parameters
+    ----------
+    targets, measured
+        Each target in its frames, and its motion as a sinusoid.
+
+    Returns
+    -------
+    WindowHarmonic or None
+        None where they show none; else every target is to be measured again with its own.
+    """
+    pairs = [pair for pair in zip(targets, measured, strict=True) if says_harmonic(pair[1])]
+    pairs = [pair for pair in pairs if not any(window.is_coded for window in pair[0].windows)]
+    pairs.sort(key=lambda pair: abs(math.log(pair[1].amplitude_px / BEST_PX)))
+    found: list[HarmonicEvidence] = []
+    for place, (target, one) in enumerate(pairs[:HARMONIC_TARGETS]):
+        if place == FIRST_HARMONIC_TARGETS and sum(seen.gain for seen in found) < 2 * len(found) + SIGN:
+            break
+        evidence = _harmonic_evidence(target, one)
+        if evidence is not None:
+            found.append(evidence)
+    return window_harmonic(found)
+
+
+@solved
+def _harmonic_evidence(target: TargetFrames, found: Measurement) -> HarmonicEvidence | None:
+    frame_set = _prepare_frames(target)
+    return None if isinstance(frame_set, Measurement) else harmonic_evidence(frame_set, found)
+
+
+def _prepare_frames(target: TargetFrames) -> FrameSet | Measurement:
+    """A target's frames, ready to be fitted; what they show where they are not to be."""
+    sharp, defocus, guesses, count = target.sharp, target.defocus, target.initial_guesses, len(target.patches)
+    blurs = [defocus or default_defocus(sharp)] * count if not isinstance(defocus, Sequence) else list(defocus)
+    problems: list[FitProblem] = []
+    for index, (patch, window) in enumerate(zip(target.patches, target.windows, strict=True)):
+        guess = guesses[index] if guesses is not None else InitialGuess(sharp.centre_px)
+        problem = prepare_on_label(sharp, patch, guess, is_divided=window.is_coded)
+        if problem is None:
+            return empty_measurement(sharp.name, {Flag.NOT_FOUND})
+        problems.append(problem)
+    there = np.mean([problem.initial_centre_px for problem in problems], axis=0)
+    return measure_still_texture(sharp.with_scale_uncertainty(there), problems, target.windows, blurs)
 
 
 def _average_whole_cycles(

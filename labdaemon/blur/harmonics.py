@@ -31,8 +31,8 @@ class MotionHarmonics:
     ----------
     cosine, sine
         r_n cos δ_n and r_n sin δ_n for n = 2, 3 …
-    sd
-        Standard deviation of each of both, for n = 2, 3 …
+    sd, sd_sine
+        Standard deviation of each of both, for n = 2, 3 …; the latter is that of the sine part where it is another.
     phase_rad
         ψ, phase of the fundamental against the window's reference.
 
@@ -46,6 +46,7 @@ class MotionHarmonics:
     sine: tuple[float, ...]
     sd: tuple[float, ...]
     phase_rad: float = 0.0
+    sd_sine: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.cosine) == len(self.sine) == len(self.sd):
@@ -53,6 +54,8 @@ class MotionHarmonics:
         values = (*self.cosine, *self.sine, *self.sd, self.phase_rad)
         if not all(map(math.isfinite, values)) or min(self.sd, default=0.0) < 0:
             raise UsageError("harmonics and their standard deviations must be finite")
+        if self.sd_sine is not None and not len(self.sd_sine) == len(self.sd):
+            raise UsageError("give a standard deviation of each sine part, or none")
         if self.size >= 1:
             raise UsageError("the harmonics are as large as the fundamental: this is no motion at one frequency")
 
@@ -60,6 +63,11 @@ class MotionHarmonics:
     def size(self) -> float:
         """Root of the sum of all r_n²."""
         return math.hypot(*self.cosine, *self.sine)
+
+    @property
+    def sds(self) -> tuple[tuple[float, float], ...]:
+        """Standard deviations of the cosine and the sine part of each order."""
+        return tuple(zip(self.sd, self.sd if self.sd_sine is None else self.sd_sine, strict=True))
 
     @property
     def has_even(self) -> bool:

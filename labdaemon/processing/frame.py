@@ -12,8 +12,11 @@ from labdaemon.blur import (
     ExposureWindow,
     InitialGuess,
     Measurement,
+    MotionHarmonics,
     SharpTarget,
+    TargetFrames,
     average_measurements,
+    estimate_group_harmonic,
     failure_flags,
     find_relative_signs,
     measure_group,
@@ -281,7 +284,12 @@ def _measure_together(
     if len(phased) == len(windows):
 
         def measure(windows: Sequence[ExposureWindow]) -> list[Measurement]:
-            return [_measure_phased(one, located_frames, windows, k, laws) for k, one in enumerate(camera.targets)]
+            targets = [_in_frames(one, located_frames, windows, k) for k, one in enumerate(camera.targets)]
+            found = [_measure_phased(one, laws.of(one.sharp.name)) for one in targets]
+            harmonic = None if laws.rules else estimate_group_harmonic(targets, found)
+            if harmonic is None:
+                return found
+            return [_measure_phased(one, harmonic.of(one.sharp.name)) for one in targets]
 
         seen = measure_under_code(measure, phased)
         coded = [each for each in zip(located_frames, phased, strict=True) if each[1].is_coded]
@@ -297,13 +305,10 @@ def _measure_together(
     return [average_measurements(measured) for measured in zip(*each, strict=True)], []
 
 
-def _measure_phased(
-    target: SharpTarget,
-    located_frames: Sequence[LocatedTargets],
-    windows: Sequence[ExposureWindow],
-    index: int,
-    laws: MotionLaws,
-) -> Measurement:
+def _in_frames(
+    target: SharpTarget, located_frames: Sequence[LocatedTargets], windows: Sequence[ExposureWindow], index: int
+) -> TargetFrames:
+    """A target in the frames of a group in which it was found."""
     cuts, starts, blurs, seen = [], [], [], []
     for located, window in zip(located_frames, windows, strict=True):
         smear = located.smears[index]
@@ -312,16 +317,20 @@ def _measure_phased(
             starts.append(InitialGuess(smear.centre_px, smear.a_px, smear.b_px))
             blurs.append(located.shift.defocus)
             seen.append(window)
-    if not cuts:
-        return not_found(target)
     known = [blur for blur in blurs if blur is not None]
+    return TargetFrames(target, cuts, seen, known if len(known) == len(blurs) else None, starts)
+
+
+def _measure_phased(target: TargetFrames, harmonics: MotionHarmonics | None) -> Measurement:
+    if not target.patches:
+        return not_found(target.sharp)
     return measure_group(
-        target,
-        cuts,
-        seen,
-        defocus=known if len(known) == len(blurs) else None,
-        initial_guesses=starts,
-        harmonics=laws.of(target.name),
+        target.sharp,
+        target.patches,
+        target.windows,
+        defocus=target.defocus,
+        initial_guesses=target.initial_guesses,
+        harmonics=harmonics,
     )
 
 

@@ -66,9 +66,9 @@ def estimate_minor_axis(frame_set: FrameSet, profile: PhaseProfile) -> MinorAxis
     """One step from an in-phase motion that frees a minor axis and its square."""
     at = np.concatenate((profile.best.p, np.zeros(2)))
     reach = 3.0 + 1.3 * float(np.hypot(*profile.vector))
-    model, prior = frame_set.forward_model(_minor_axis_transfer, reach), frame_set.prior(5)
+    model, prior = frame_set.forward_model(minor_axis_transfer, reach), frame_set.prior(5)
     found = gauss_newton_step(frame_set.planes, frame_set.weights, model, at, prior, profile.best.light)
-    found = gls_refine_frames(frame_set, found, _minor_axis_transfer)
+    found = gls_refine_frames(frame_set, found, minor_axis_transfer)
     covariance = robust_covariance(frame_set.sharp, found, frame_set.planes)
     size, square, longest = float(found.p[-2]), float(found.p[-1]), 3.0 * float(np.hypot(*profile.vector))
     if not (abs(size) <= longest and abs(square) <= longest**2):
@@ -203,7 +203,9 @@ def _rough_cost(frame_set: FrameSet, dark: FloatArray) -> float:
     return float(np.sum(weight * (planes.values - render_illumination(planes, light, dark)) ** 2))
 
 
-def _minor_axis_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:
+def minor_axis_transfer(basis: FloatArray, weight: FloatArray) -> TransferFunction:
+    """In-phase motion by (vx, vy, ψ), with a minor axis β across v and a quarter later, and its square: β, β² after."""
+
     def motion(fx: FloatArray, fy: FloatArray, p: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         waveform = np.cos(p[2]) * basis[0] + np.sin(p[2]) * basis[1]
         later = np.cos(p[2]) * basis[1] - np.sin(p[2]) * basis[0]

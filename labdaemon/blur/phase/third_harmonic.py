@@ -77,7 +77,7 @@ def third_harmonic(evidence: Sequence[WaveformEvidence]) -> ThirdHarmonic | None
     values = np.array([one.score[-1] / one.information[-1, -1] for one in evidence])
     sds = information**-0.5
     gain = float(np.sum(values**2 * information))
-    mean, scatter = _mean_and_scatter(values, sds)
+    mean, scatter = mean_and_scatter(values, sds)
     if gain - len(values) < SHOWN or np.hypot(mean, scatter) < LEAST or np.abs(values).max() > LARGEST:
         return None
     names = [one.frame_set.sharp.name for one in evidence]
@@ -85,7 +85,7 @@ def third_harmonic(evidence: Sequence[WaveformEvidence]) -> ThirdHarmonic | None
     return ThirdHarmonic(own, mean, scatter, gain)
 
 
-def _mean_and_scatter(values: FloatArray, sds: FloatArray) -> tuple[float, float]:
+def mean_and_scatter(values: FloatArray, sds: FloatArray) -> tuple[float, float]:
     """Mean over targets, and the standard deviation of one more about it.
 
     By moments (DerSimonian and Laird 1986, doi:10.1016/0197-2456(86)90046-2). A single target says nothing of the

@@ -125,9 +125,10 @@ def _variations(window: ExposureWindow) -> list[ExposureWindow]:
     if light is not None and light.sd_phase_rad > 0:
         varied.append(replace(window, light=replace(light, phase_rad=light.phase_rad + light.sd_phase_rad)))
     harmonics = window.harmonics
-    for place, sd in enumerate(harmonics.sd if harmonics is not None else ()):
-        if harmonics is not None and sd > MIN_HARMONIC_SD:
-            varied += [replace(window, harmonics=harmonics.shifted(place, *step)) for step in ((sd, 0.0), (0.0, sd))]
+    for place, (cosine, sine) in enumerate(harmonics.sds if harmonics is not None else ()):
+        if harmonics is not None and max(cosine, sine) > MIN_HARMONIC_SD:
+            steps = ((cosine, 0.0), (0.0, sine))
+            varied += [replace(window, harmonics=harmonics.shifted(place, *step)) for step in steps]
     return varied
 
 
