@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from labdaemon.bench.planned import _angles, plan_case, run_planned
+from labdaemon.bench.planned import PlannedTrials, _angles, plan_case, run_planned
 from labdaemon.blur import ExposureWindow, LightCode
 
 
@@ -27,3 +27,9 @@ def test_light_comes_in_over_the_phases_of_the_code() -> None:
     assert angles.max() == pytest.approx(0.5 + math.pi / 2, abs=0.01)
     plain = _angles(ExposureWindow(5.5, 1.0, 0.3))(np.array([0.0, 1.0]))
     assert plain == pytest.approx((0.3, 0.3 + 11 * math.pi))
+
+
+def test_ratios_are_of_what_is_not_flagged_and_a_phase_that_does_not_show_has_none() -> None:
+    trials = PlannedTrials(0.002, 0.01, np.array([0.001, -0.003]), np.zeros(0), np.zeros(0), flagged=3)
+    assert trials.amplitude_ratio == pytest.approx(math.sqrt(5) / 2)
+    assert math.isnan(trials.phase_ratio)

@@ -178,3 +178,11 @@ def test_the_waveform_goes_with_the_fundamentals_phase() -> None:
 def test_harmonics_that_make_no_sense_are_refused(parts) -> None:
     with pytest.raises(UsageError):
         MotionHarmonics(*parts)
+
+
+def test_the_sine_parts_may_be_known_less_well() -> None:
+    plain = MotionHarmonics((0.0, 0.02), (0.0, 0.01), (0.0, 0.001))
+    assert plain.sds == ((0.0, 0.0), (0.001, 0.001))
+    assert replace(plain, sd_sine=(0.0, 0.02)).sds == ((0.0, 0.0), (0.001, 0.02))
+    with pytest.raises(UsageError, match="sine part"):
+        replace(plain, sd_sine=(0.02,))

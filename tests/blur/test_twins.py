@@ -56,3 +56,11 @@ def test_constant_light_over_whole_cycles_shows_no_phase_at_all() -> None:
 def test_what_cannot_be_compared_is_refused() -> None:
     with pytest.raises(UsageError):
         nearest_twin([], 1.0)
+
+
+def test_diffraction_brings_twins_nearer() -> None:
+    window = ExposureWindow(5.0, 1.0, light=LightCode(named_code("1110100"), cycles=5))
+    sharp, diffracted = (
+        nearest_twin([window], 3.0, DotImage(lens_sigma_px=0.3, diffraction_px=px)) for px in (0.0, 2.8)
+    )
+    assert diffracted.distance_sd < 0.8 * sharp.distance_sd
