@@ -174,14 +174,15 @@ class DesignSearch:
             white = window.exposure_s / nominal_s * light_fraction(window)
             if not LEAST_WHITE <= white <= MOST_WHITE:
                 return False
-            if window.phase_rad is None and window.light is None and window.fraction > LIMIT_CYCLES:
-                return False
-        return True
+        return not _has_part_cycles(windows)
 
     def _precision(
         self, step: Step, windows: Sequence[ExposureWindow], nominal_s: float, *, by_bound: bool = False
     ) -> GroupPrecision:
         expected = self._expectation
+        seconds = sum(shot.exposure_s + self._rig.shot_s for shot in step.shots)
+        if _has_part_cycles(windows):
+            return GroupPrecision(math.inf, math.inf, seconds, 0.0)
         logs, ambiguous = list[FloatArray](), list[float]()
         for amplitude_mm in expected.amplitudes_mm:
             amplitude_px = amplitude_mm * expected.scale.px_per_mm
@@ -203,7 +204,6 @@ class DesignSearch:
             logs.append(0.5 * np.log(np.mean(squares, axis=0)))
             ambiguous.append(share)
         sds = np.exp(np.mean(logs, axis=0))
-        seconds = sum(shot.exposure_s + self._rig.shot_s for shot in step.shots)
         return GroupPrecision(
             float(sds[0]) / expected.scale.px_per_mm, float(sds[1]), seconds, float(np.mean(ambiguous))
         )
@@ -280,6 +280,11 @@ _SHARED = (
     "light_phase_rad",
     "expected_mm",
 )
+
+
+def _has_part_cycles(windows: Sequence[ExposureWindow]) -> bool:
+    """Whether a frame will be flagged `part_cycles`: nothing tells which part of the motion it has seen."""
+    return any(one.phase_rad is None and one.light is None and one.fraction > LIMIT_CYCLES for one in windows)
 
 
 def _group_key(step: Step) -> tuple[Any, ...]:

@@ -113,6 +113,8 @@ def lit_shots(lit: LitExcitation, lamp: Lamp | None, steps_s: Sequence[float]) -
     )
     if chosen is None:
         need_s = (1 + 1 / sectors) / lit.frequency_hz + lamp.margin_s
+        if lit.nominal_s > max(steps_s, default=math.inf):
+            raise LimitError(f"the cameras offer no exposure near {lit.nominal_s:g} s, {max(steps_s):g} s at most")
         raise LimitError(
             f"no whole cycle of the code fits into an exposure near {lit.nominal_s:g} s: one takes {need_s:.3g} s with "
             "the wait for its beginning and the shutters' margin; expose longer"

@@ -22,6 +22,9 @@ from labdaemon.errors import UsageError
 TRANSMISSIBILITY = (0.5, 5.0)
 """Structure's motion over the table's, where nothing else is said: from near a node to near a mode."""
 
+LARGEST_PX = 200.0
+"""Largest semi-amplitude that is looked at: no label is so wide, and the modelled image grows with its square."""
+
 LEAST_AMBIGUOUS = 0.005
 """Share of measurements with a twin that is worth a word."""
 
@@ -55,7 +58,7 @@ def search_designs(
     Raises
     ------
     UsageError
-        The campaign sets no shaker.
+        The campaign sets no shaker, or the motions that are expected are none, or too large.
     LabdaemonError
         It cannot be planned.
     """
@@ -67,7 +70,14 @@ def search_designs(
     for number, (place, frequency_hz, amplitude_mm) in enumerate(todo, start=1):
         phase: Any = campaign.section.phase[place]
         wanted = goal or default_goal(phase)
+        if amplitude_mm == 0 and expected_mm is None:
+            raise UsageError(f"phase[{place}].amplitude_mm is 0: say with --expected-mm what moves")
         low, high = expected_mm or tuple(amplitude_mm * one for one in transmissibility or TRANSMISSIBILITY)
+        if high * scale.px_per_mm > LARGEST_PX:
+            raise UsageError(
+                f"a motion of {high:g} mm is one of {high * scale.px_per_mm:.0f} px, and {LARGEST_PX:g} at most are "
+                "looked at; give a smaller range as --expected-mm"
+            )
         key = (wanted, phase.exposure_s, low, high)
         if key not in searches:
             searches[key] = DesignSearch(rig, Expectation(spread_amplitudes(low, high), scale), wanted)
@@ -102,6 +112,8 @@ def _captures(design: CaptureDesign, groups: int) -> str:
 
 
 def _precision(precision: GroupPrecision) -> str:
+    if math.isinf(precision.sd_amplitude_mm):
+        return f"{'part_cycles':>19}{precision.seconds:>6.1f} s"
     known = math.isfinite(precision.sd_phase_rad)
     phase = f"{math.degrees(precision.sd_phase_rad):.2f}°" if known else "–"
     twins = f"   {precision.ambiguous:.0%} ambiguous" if precision.ambiguous > LEAST_AMBIGUOUS else ""

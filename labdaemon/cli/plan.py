@@ -112,8 +112,10 @@ def _optimise(
     # Loaded where it is asked for: the modelled images take longer to load than a plan to make.
     from labdaemon.cli import optimise_plan
 
+    if None not in expected:
+        raise UsageError("--expected-mm and --transmissibility say the same: give one of them")
     for low, high in (one for one in expected if one is not None):
-        if low > high:
+        if not low <= high:  # NaN among it
             raise UsageError(f"the least value comes first: {low:g} {high:g}")
     read, planned = load_campaign(campaign), plan_rig(rig)
     designs = optimise_plan.search_designs(

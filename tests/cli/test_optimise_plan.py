@@ -79,6 +79,9 @@ def test_a_campaign_without_designs_comes_back_as_it_is() -> None:
         (("--goal", "phase"), "belong to --optimise"),
         (("--write",), "belong to --optimise"),
         (("--optimise", "--expected-mm", 3, 1), "least value comes first"),
+        (("--optimise", "--expected-mm", "nan", "nan"), "least value comes first"),
+        (("--optimise", "--expected-mm", 1, 2, "--transmissibility", 1, 2), "say the same"),
+        (("--optimise", "--expected-mm", 500, 1000), "200 at most are looked at"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(tmp_path: Path, options: tuple[object, ...], words: str) -> None:
@@ -86,6 +89,17 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path, options: tuple[o
     path.write_text(CAMPAIGN)
     with pytest.raises(UsageError, match=words):
         invoke(path, "--config", CONFIG / "sim.toml", *options)
+
+
+def test_a_table_that_does_not_move_and_part_cycles_without_a_phase_have_no_prediction(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    still = CAMPAIGN.replace("amplitude_mm = 0.5", "amplitude_mm = 0.0")
+    path.write_text(still)
+    with pytest.raises(UsageError, match=r"phase\[1\].amplitude_mm is 0"):
+        invoke(path, "--config", CONFIG / "sim.toml", "--optimise")
+    path.write_text(CAMPAIGN.replace("[5.0, 8.0]", "2.0").replace("captures = 2", "exposure_s = 0.1"))
+    done = invoke(path, "--config", CONFIG / "sim.toml", "--optimise", "--expected-mm", 1, 1)
+    assert "part_cycles" in next(line for line in done.stdout.splitlines() if " now " in line)
 
 
 def test_a_campaign_that_cannot_run_is_refused_before_anything_is_searched(tmp_path: Path) -> None:
