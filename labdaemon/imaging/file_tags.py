@@ -174,7 +174,13 @@ def check_pixel_bytes(path: Path, directory: TiffDirectory) -> None:
         raise DataError(f"has no pixels: {directory.number(WIDTH)}x{directory.number(HEIGHT)}", file=path)
     bits = directory.number(BITS, 1) * directory.number(SAMPLES, 1)
     needed = _pixels(directory) * (bits / 8 if directory.number(COMPRESSION, 1) == 1 else 1 / PIXELS_A_BYTE)
-    if not counts.size or not counts.all() or counts.sum() < needed:
+    if not counts.size or not counts.all():
+        raise DataError(
+            "does not say how many bytes its pixels take (StripByteCounts is absent or 0): it is incomplete, or a "
+            "program left them out; save it again",
+            file=path,
+        )
+    if counts.sum() < needed:
         raise _no_pixels(path, directory, counts)
 
 
