@@ -19,7 +19,8 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 _LOCK = threading.Lock()
 _LIBRARY = re.compile(
-    r"data corrupted at|unexpected end of file|unknown file|\[ ?(WARN|ERROR|INFO|FATAL):|libpng|TIFF|JPEG|LibRaw|OpenCV"
+    r"data corrupted at|[Uu]nexpected end of file|unknown file|\[ ?(WARN|ERROR|INFO|FATAL):|libpng|TIFF|JPEG|LibRaw|"
+    r"OpenCV"
 )
 """Lines that come from the libraries; in a process of several threads all others are passed on."""
 

@@ -145,7 +145,10 @@ class _Reader:
                 file=self.path,
             )
         self.stream.seek(offset)
-        return self.stream.read(count)
+        data = self.stream.read(count)
+        if len(data) < count:
+            raise DataError("the file becomes shorter while it is read; fetch it again", file=self.path)
+        return data
 
 
 def read_directories(path: Path) -> list[TiffDirectory]:

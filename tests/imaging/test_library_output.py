@@ -46,7 +46,7 @@ def test_other_threads_lines_are_passed_on(capfd: pytest.CaptureFixture[str]) ->
     with captured_stderr() as printed:
         thread.start()
         assert done.wait(10)
-        os.write(2, b"a.dng: unexpected end of file\n")
+        os.write(2, b"a.dng: Unexpected end of file\n")
     go.set()
     thread.join()
     assert printed.reports_damage

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -131,6 +132,14 @@ def test_a_damaged_dng_is_one_message_and_nothing_printed(
         read_frame(path)
     assert "\n" not in str(caught.value)
     assert capfd.readouterr().err == ""
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "f.dng"
+    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, 3) + bytes(20))
+    monkeypatch.setattr(os, "fstat", lambda _descriptor: os.stat_result((0,) * 6 + (1000,) + (0,) * 3))
+    with pytest.raises(DataError, match="becomes shorter while it is read"):
+        read_directories(path)
 
 
 def test_a_panasonic_header_without_pixels(tmp_path: Path) -> None:
