@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from labdaemon.blur import ExposureWindow, LightCode, named_code
 from labdaemon.errors import ConfigError, DataError, UsageError
 from labdaemon.events import GaugeMotion
+from labdaemon.plain_file import entries
 from labdaemon.processing.control import check_family
 from labdaemon.processing.rigfile import Finite, Positive, RigFile, one_line, read_rig, read_toml, refuse_unknown_keys
 from labdaemon.processing.survey import (
@@ -207,7 +208,7 @@ class DataFolder:
             raise DataError("the sharp set is missing", file=where)
         found = _frames_in(where, tuple(self.rig.cameras), several=True)
         if not found and not name:
-            sets = sorted(p.name for p in base.iterdir() if p.is_dir())
+            sets = [path.name for path, is_folder in entries(base) if is_folder]
             hint = f"; name one of its sets ({', '.join(sets)}) as `sharp` in capture.toml" if sets else ""
             raise DataError(f"holds no sharp frame{hint}", file=where)
         missing = [camera for camera in self.rig.cameras if camera not in found]
@@ -224,7 +225,7 @@ class DataFolder:
         base = self.root / "captures"
         if not os.path.isdir(base):
             raise DataError("the folder has no captures", file=base)
-        names = tuple(sorted(p.name for p in base.iterdir() if p.is_dir() and not p.name.startswith(".")))
+        names = tuple(path.name for path, is_folder in entries(base) if is_folder and not path.name.startswith("."))
         if not names:
             raise DataError("the folder has no captures", file=base)
         return names
@@ -259,9 +260,9 @@ def sharp_sets(root: Path) -> tuple[str, ...]:
     base = root / "sharp"
     if not os.path.isdir(base):
         return ()
-    entries = sorted(base.iterdir())
-    has_flat = any(path.is_file() and path.suffix.lower() not in NOT_FRAMES for path in entries)
-    named = [path.name for path in entries if path.is_dir() and not path.name.startswith(".")]
+    found = entries(base)
+    has_flat = any(not is_folder and path.suffix.lower() not in NOT_FRAMES for path, is_folder in found)
+    named = [path.name for path, is_folder in found if is_folder and not path.name.startswith(".")]
     return (*([""] if has_flat else []), *named)
 
 
@@ -322,9 +323,9 @@ def _frames_in(where: Path, cameras: tuple[str, ...], *, several: bool) -> dict[
     """Find each camera's frames: CAMERA.ext and, where `several`, CAMERA-2.ext, CAMERA-3.ext … in that order."""
     found: dict[str, dict[int, Path]] = {}
     photographs: dict[str, Path] = {}
-    for path in sorted(where.iterdir()):
+    for path, is_folder in entries(where):
         suffix = path.suffix.lower()
-        if path.is_dir() or path.name.startswith(".") or suffix in NOT_FRAMES:
+        if is_folder or path.name.startswith(".") or suffix in NOT_FRAMES:
             continue
         camera, number = _camera_and_number(path.stem, cameras, several)
         if suffix in TONE_MAPPED:
