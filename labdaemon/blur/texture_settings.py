@@ -16,7 +16,7 @@ class TextureSettings:
     sds of pixels, and a fit that is far from linear in them."""
     min_relative_gradient: float = 0.04
     """The same over the strongest direction's gradient: less is light, dirt and interpolation. Trial."""
-    smoothing_bins: float = 1.5
+    smoothing_bins: float = 2.0
     """Smoothing of a texture's power over neighbouring spatial frequencies, in steps of the transform. Trial."""
     iterations: int = 25
     """Most steps of the fit."""

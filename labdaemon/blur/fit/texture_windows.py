@@ -20,6 +20,7 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.fit_problem import FitProblem
 from labdaemon.blur.smear.frame_set import FrameSet
+from labdaemon.blur.smear.texture_frames import with_clean_texture
 from labdaemon.blur.waveform import window_nodes
 from labdaemon.flags import Flag
 from labdaemon.orbit_axes import moment_matrix, second_moment
@@ -70,7 +71,7 @@ def measure_still_texture(
         replace(problem, initial_centre_px=one.centre_px.copy()) for problem, one in zip(problems, found, strict=True)
     ]
     moments = [moment_matrix(second_moment(one.a_px, one.b_px)) for one in found]
-    frame_set = FrameSet.from_problems(sharp, begun, windows, blurs)
+    frame_set = with_clean_texture(FrameSet.from_problems(sharp, begun, windows, blurs))
     return replace(frame_set, moment_px2=np.mean(moments, axis=0))
 
 

@@ -27,6 +27,7 @@ from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.smear.defocus import default_defocus
 from labdaemon.blur.smear.fit_problem import prepare_fit
 from labdaemon.blur.smear.frame_set import FrameSet
+from labdaemon.blur.smear.texture_frames import with_clean_texture
 from labdaemon.blur.unsolvable import solved
 from labdaemon.orbit_axes import orient_positive
 
@@ -136,7 +137,8 @@ def phase_likelihood(
     if problem is None:
         return None
     there = sharp.with_scale_uncertainty(problem.initial_centre_px)
-    frame_set = FrameSet.from_problems(there, [problem], [window], [defocus or default_defocus(sharp)])
+    frames = FrameSet.from_problems(there, [problem], [window], [defocus or default_defocus(sharp)])
+    frame_set = with_clean_texture(frames)
     profile = profile_phase(frame_set, smear_moment(frame_set))
     scale = max(profile.best.chi2, 1.0)
     if scale > UNCERTAINTY.poor_chi2 and sharp.noise_known:

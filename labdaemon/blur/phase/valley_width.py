@@ -17,6 +17,7 @@ from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, window_fixed_phase_transfer
+from labdaemon.blur.smear.texture_frames import correct_cost
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 
@@ -78,7 +79,8 @@ def _scan(
     reach = 3.0 + 1.5 * float(np.hypot(*vector))
 
     def fit(offset: float, start: FloatArray) -> tuple[float, FloatArray]:
-        model = fixed.forward_model(window_fixed_phase_transfer(phase_rad + offset), reach)
+        transfer_factory = window_fixed_phase_transfer(phase_rad + offset)
+        model = fixed.forward_model(transfer_factory, reach)
         found = solve(
             fixed.planes,
             lambda _: kept,
@@ -89,7 +91,7 @@ def _scan(
             max_iterations=6,
             tolerance=0.2,
         )
-        return found.cost, found.p
+        return correct_cost(fixed, found, transfer_factory).cost, found.p
 
     steps = np.arange(1, LIGHT.valley_scan_steps + 1) / LIGHT.valley_scan_steps * LIGHT.same_valley_rad
     middle = fit(0.0, start)

@@ -6,7 +6,7 @@ the noise's gradient in it as well; that share is known from the noise and is su
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from scipy import fft, ndimage
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.texture_settings import TEXTURE
+
+MARGIN_PX = 8
+"""Half of what an image is extended by before it is filtered. Numerics."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,12 +108,35 @@ def texture_band(form: TexturedPatch, shape: tuple[int, ...], noise_variance: fl
     dark = _box(form, form.dark.mean(axis=0))
     window = np.outer(np.hanning(dark.shape[0] + 2)[1:-1], np.hanning(dark.shape[1] + 2)[1:-1])
     whole = np.abs(fft.fft2((dark - np.average(dark, weights=window)) * window, s=(height, width))) ** 2
-    power = ndimage.gaussian_filter(whole / np.sum(window**2), TEXTURE.smoothing_bins, mode="wrap")
+    # Over orders of magnitude a mean would smear the strong frequencies over the weak. The logarithm of an
+    # exponentially distributed power is Euler's constant below that of its mean.
+    smooth = ndimage.gaussian_filter(np.log(whole + 1e-300), TEXTURE.smoothing_bins, mode="wrap")
+    power = np.exp(smooth + np.euler_gamma) / np.sum(window**2)
     # A chessboard's samples have their noise in half of all frequencies.
     noise = noise_variance * (2.0 if mosaic else 1.0)
     weight = np.clip(1 - noise / np.maximum(power[:, : fx.shape[1]], 1e-300), 0.0, 1.0)
     double = np.where((fx > 0) & (fx < 0.5), 2.0, 1.0)
     return TextureBand(places, fx[places], fy[places], (weight * double)[places], float(double[places].sum()))
+
+
+def without_noise(form: TexturedPatch, noise_variance: float) -> TexturedPatch:
+    """The most probable texture, by a Wiener filter: least squares with it reads no noise of the sharp frame as motion.
+
+    Parameters
+    ----------
+    form, noise_variance
+        As for `texture_band`.
+    """
+    pad = 2 * MARGIN_PX
+    mean = form.dark.mean()
+    wide = np.pad(form.dark - mean, ((0, 0), (pad, pad), (pad, pad)), mode="reflect")
+    band = texture_band(form, wide.shape, noise_variance)
+    double = np.where((band.fx > 0) & (band.fx < 0.5), 2.0, 1.0)
+    kept = np.zeros(band.places.shape)
+    kept[band.places] = band.weight / double
+    kept[0, 0] = 1.0
+    filtered = fft.irfft2(fft.rfft2(wide) * kept, s=wide.shape[-2:])
+    return replace(form, dark=mean + filtered[:, pad:-pad, pad:-pad])
 
 
 def _box(form: TexturedPatch, image: FloatArray) -> FloatArray:

@@ -97,7 +97,8 @@ def compare_solutions(
     list of float
         The solutions' own sums of squares where the noise is not known.
     """
-    if not frame_set.sharp.noise_known or solutions[0].chi2 > GLS.max_chi2:
+    is_texture = isinstance(frame_set.sharp.form, TexturedPatch)
+    if is_texture or not frame_set.sharp.noise_known or solutions[0].chi2 > GLS.max_chi2:
         return [one.cost for one in solutions]
     weights: list[FrameWeights] | None = None
     costs = []

@@ -1,8 +1,9 @@
 """Textured patches through windows and under coded light: the noise of their sharp frame accounted for.
 
-Least squares reads the noise of the sharp frame as motion (`errors_in_variables`). From its solution the corrected
-equations of each frame, which add over frames, lead to the unbiased one in a few steps. The motion is by its vectors,
-of which the image has no slope at rest: whether anything moves is asked before, by the second moment.
+Least squares reads the noise of the sharp frame as motion, and as another phase. With the most probable texture for a
+template it comes near, and its solutions compare by their likelihood. From the best one the corrected equations of each
+frame (`errors_in_variables`), which add over frames, lead to the unbiased one in a few steps. The motion is by its
+vectors, of which the image has no slope at rest: whether anything moves is asked before, by the second moment.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy import fft
 
 from labdaemon.blur.patch.colour_planes import ColourPlanes, merge_planes
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.sharp.texture_structure import texture_band
+from labdaemon.blur.sharp.texture_structure import texture_band, without_noise
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.errors_in_variables import (
     CorrectedEquations,
@@ -25,6 +26,7 @@ from labdaemon.blur.smear.errors_in_variables import (
     template_share,
     texture_depth,
 )
+from labdaemon.blur.smear.fit_problem import rest_spectra
 from labdaemon.blur.smear.frame_set import (
     FRAME_PARAMETERS,
     FrameSet,
@@ -40,13 +42,24 @@ HELD_SD = 1e-5
 """Standard deviation of a direction that is held. Numerics."""
 
 
-def correct_cost(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
-    """A textured patch's solution with its cost by the spatial frequencies that show texture; a dot's as it is.
+def with_clean_texture(frame_set: FrameSet) -> FrameSet:
+    """The frames with the most probable texture for the template of a textured patch; those of a dot as they are."""
+    sharp, form = frame_set.sharp, frame_set.sharp.form
+    if not isinstance(form, TexturedPatch):
+        return frame_set
+    level = form.spread_dn * (1 / max(form.contrast, 1e-9) - float(form.dark.mean()))
+    variance = float(sharp.noise.variance(np.array([level]))[0]) / form.frames / max(form.spread_dn, 1e-12) ** 2
+    clean = without_noise(form, variance)
+    problems = [replace(one, rest_spectra=rest_spectra(clean, one.grid, one.planes)) for one in frame_set.problems]
+    return replace(frame_set, problems=problems)
 
-    The residuals n2 − H·n1 hold the noise of the sharp frame as far as the blur lets it through, and products of the
-    two noises at all frequencies, also at those without texture. A sum of squares prefers more blur, and its
-    differences between twins scatter far more than their own size. The likelihood of a texture of known power S and a
-    sharp frame's noise of power N weighs each frequency by S/(S + N) and divides by the residuals' variance there.
+
+def correct_cost(frame_set: FrameSet, solution: Solution, transfer_factory: TransferFactory) -> Solution:
+    """A textured patch's solution with its cost by the likelihood; a dot's as it is.
+
+    With the most probable texture for a template (`without_noise`) the residuals are n2 + H·e, where e is what the
+    sharp frame leaves unknown of the texture: of power N·S/(S + N), by the power S of the texture and N of the noise.
+    A sum of squares would prefer more blur.
     """
     form, first = frame_set.sharp.form, frame_set.first_motion
     length = float(np.linalg.norm(solution.p[first:]))
@@ -66,7 +79,10 @@ def correct_cost(frame_set: FrameSet, solution: Solution, transfer_factory: Tran
         band = texture_band(form, image.shape, noise)
         seen = np.abs(fft.rfft2(image)[band.places]) ** 2 / band.count
         blur = blur_power(motion, frame_set.shape_count, p, band.fx, band.fy)
-        cost += float(band.weight @ (seen / (1 + share * blur))) - float(np.vdot(residual, residual))
+        double = np.where((band.fx > 0) & (band.fx < 0.5), 2.0, 1.0)
+        variance = 1 + share * blur * band.weight / double
+        pixels = np.count_nonzero(residual) / band.count
+        cost += float(double @ (seen / variance + pixels * np.log(variance))) - float(np.vdot(residual, residual))
     return replace(solution, cost=cost)
 
 
@@ -177,7 +193,8 @@ def _frame_parts(
     nuisance, parts = FRAME_PARAMETERS * len(frame_set.problems), []
     for index, (problem, window) in enumerate(zip(frame_set.problems, frame_set.windows, strict=True)):
         rows = frame_set.rows(index)
-        alone = replace(problem, planes=frame_set.planes_of(index))
+        planes = frame_set.planes_of(index)
+        alone = replace(problem, planes=planes, rest_spectra=rest_spectra(form, problem.grid, planes))
         own = replace(solution, light=solution.light[rows], weight=solution.weight[rows])
         motion = frame_set.transfer(window, transfer_factory, reach_px)
         places = [
