@@ -18,6 +18,9 @@ class TextureSettings:
     """The same over the strongest direction's gradient: less is light, dirt and interpolation. Trial."""
     smoothing_bins: float = 2.0
     """Smoothing of a texture's power over neighbouring spatial frequencies, in steps of the transform. Trial."""
+    twin_scale: float = 2.0
+    """Divisor of differences of cost between twins: the texture's power is estimated from the patch itself. Trial:
+    without it wrong twins of coarse textures (details of 4 px) led by up to 13, four of 22."""
     iterations: int = 25
     """Most steps of the fit."""
     frame_iterations: int = 8

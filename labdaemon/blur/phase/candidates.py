@@ -15,10 +15,12 @@ from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.valley_width import widen_by_valley
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
 from labdaemon.blur.smear.gls_frames import compare_solutions, gls_refine_frames
 from labdaemon.blur.smear.uncertainty import windowed_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.blur.texture_settings import TEXTURE
 
 MotionVectors = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From all parameters (k,) to x, y, ax, ay, bx, by (6,) and their derivatives (6, k)."""
@@ -106,6 +108,8 @@ def weigh_candidates(
         The kind of motion.
     """
     scale = max(solutions[0].chi2, LIGHT.min_noise_scale)
+    if isinstance(frame_set.sharp.form, TexturedPatch):
+        scale *= TEXTURE.twin_scale
     close = [one for one in solutions if one.cost - solutions[0].cost < 2 * LIGHT.rival_limit * scale]
     if len(close) == 1:
         refined = gls_refine_frames(frame_set, close[0], transfer_factory)
