@@ -92,14 +92,34 @@ def measure_on_label(
         return better
     seen = [guess] if explained < LABEL_EDGE.least_explained else [guess, trials[0][1]]
     if all(outline.holds(radius + LABEL_EDGE.holding_margin_px, *_axes(one)) for one in seen):
-        return attempt(_masked(outline, patch, guess), _place(guess), True)
+        return _on_own_label(
+            sharp, outline, patch, attempt(_masked(outline, patch, guess), _place(guess), True), attempt
+        )
     clear = outline.clear_pixels(patch, np.asarray(guess.centre_px), *_axes(guess), LABEL_EDGE.margin_px)
     if explained < LABEL_EDGE.least_explained and np.count_nonzero(clear) >= LABEL_EDGE.least_pixels:
         # Something other than the edge of the label: an occluder, or the target is not there.
         other = attempt(_masked(outline, patch, guess), _place(guess), True)
-        return other if found is None or Flag.OCCLUDED in other.flags else _at_edge(found)
+        if found is not None and Flag.OCCLUDED not in other.flags:
+            return _at_edge(found)
+        return _on_own_label(sharp, outline, patch, other, attempt)
     last = better if better is not None else found
     return _at_edge(last) if last is not None else _lost(sharp)
+
+
+def _on_own_label(
+    sharp: SharpTarget, outline: LabelOutline, patch: Patch, found: Measurement, attempt: Attempt
+) -> Measurement:
+    """A fit under the mask of another path, a guess's or rest, checked under that of its own.
+
+    Without a guess nothing says that the path is longer than the label is wide; the ground is then a part of the fit.
+    """
+    if found.flags & {Flag.OCCLUDED, Flag.POOR_FIT} or not np.isfinite([*found.a_px, *found.b_px]).all():
+        return found
+    again = _first_determined(sharp, outline, patch, [_as_guess(found)], attempt)
+    if again is not None and is_determined(again, sharp):
+        return again
+    radius = max(sharp.form.half_size_px) + LABEL_EDGE.holding_margin_px
+    return found if outline.holds(radius, found.a_px, found.b_px) else _at_edge(found)
 
 
 def _is_hopeless(found: Measurement | None, sharp: SharpTarget) -> bool:
@@ -126,8 +146,8 @@ def _first_determined(
     """The first fit that determines the motion; or the one that fits best, or None."""
     best: Measurement | None = None
     for guess in guesses:
-        one = _iterate(outline, patch, guess, attempt)
-        if one is not None and is_determined(one, sharp):
+        one, is_masked = _iterate(outline, patch, guess, attempt)
+        if one is not None and is_masked and is_determined(one, sharp):
             return replace(one, flags=one.flags - {Flag.PAPER_EDGE})
         if one is not None and (best is None or one.chi2 < best.chi2):
             best = one
@@ -144,20 +164,31 @@ def is_determined(found: Measurement, sharp: SharpTarget) -> bool:
     return Flag.AT_REST in found.flags or found.sd_px <= limit
 
 
-def _iterate(outline: LabelOutline, patch: Patch, guess: InitialGuess, attempt: Attempt) -> Measurement | None:
-    """The fit under the mask of its own result; the last one with numbers, or None."""
+def _iterate(
+    outline: LabelOutline, patch: Patch, guess: InitialGuess, attempt: Attempt
+) -> tuple[Measurement | None, bool]:
+    """The fit under the mask of its own result; the last one with numbers, or None.
+
+    Returns
+    -------
+    found, is_masked
+        The fit, and whether its mask was that of a path at least as long as the result. A path as long as its label is
+        wide leaves no pixel under its own mask, and a shorter one's leaves the ground in the fit.
+    """
     last: Measurement | None = None
+    is_masked = False
     for _ in range(LABEL_EDGE.iterations):
         found = attempt(_masked(outline, patch, guess), guess, False)
         if not np.isfinite([*found.centre_px, *found.a_px, *found.b_px]).all():
-            return last
+            break
+        is_masked = _size(found.a_px) < _size(_axes(guess)[0]) + LABEL_EDGE.settled_px
         settled = last is not None and _size(found.a_px - _axes(guess)[0]) < LABEL_EDGE.settled_px
         # The mask of a path that fits badly can mend it once; where it does not, there is no such path.
         settled |= last is not None and found.chi2 > max(LABEL_EDGE.hopeless_chi2, last.chi2 / 2)
         last, guess = found, _as_guess(found)
         if settled:
             break
-    return last
+    return last, is_masked
 
 
 def _masked(outline: LabelOutline, patch: Patch, guess: InitialGuess) -> Patch:

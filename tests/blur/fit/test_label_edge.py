@@ -86,6 +86,14 @@ def test_a_path_as_long_as_the_label_is_flagged():
     assert Flag.OCCLUDED not in found.flags
 
 
+@pytest.mark.parametrize(("half", "a"), [(12.0, (11.0, 4.0)), (15.6, (-11.0, 2.6))])
+def test_a_ground_that_stays_in_the_fit_is_flagged(half, a):
+    """Without a guess the first mask is that of rest; that of the path found leaves no pixel to confirm it with."""
+    ground = 3092.0
+    found = measure(target((half, half), ground), frame((half, half), a, ground), defocus=STILL)
+    assert Flag.PAPER_EDGE in found.flags or abs(found.amplitude_px - np.hypot(*a)) < 3 * found.sd_px + 0.04
+
+
 def test_paper_all_around_is_left_alone():
     patch = frame((30.0, 30.0), (3.0, 0.0))
     ends = LabelOutline((90.0,) * 72)
