@@ -19,6 +19,7 @@ from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.mccarthy2016.method import measure_mccarthy2016
 from labdaemon.blur.measure import measure
 from labdaemon.blur.motion import (
+    AlternativeMotion,
     Defocus,
     ExposureWindow,
     InitialGuess,
@@ -44,6 +45,7 @@ from labdaemon.blur.prediction import (
 )
 from labdaemon.blur.settings import MEASURE, TEXTURE_MAP
 from labdaemon.blur.shared_ambient import CommonAmbient, estimate_common_ambient, free_ambient, share_ambient
+from labdaemon.blur.shared_rest import share_rest
 from labdaemon.blur.sharp.fit_sharp import fit_sharp, unmeasurable_target
 from labdaemon.blur.sharp.target import SharpTarget
 from labdaemon.blur.sharp.textured_patch import MIN_SIDE_PX, make_textured_patch
@@ -58,6 +60,7 @@ __all__ = [
     "MEASURE",
     "MIN_SIDE_PX",
     "TEXTURE_MAP",
+    "AlternativeMotion",
     "CommonAmbient",
     "Defocus",
     "Dot",
@@ -114,6 +117,7 @@ __all__ = [
     "predict_sd",
     "sd_of_information",
     "share_ambient",
+    "share_rest",
     "solved",
     "unmeasurable_target",
     "with_relative_sd",

@@ -66,8 +66,24 @@ class LightSettings:
     takes up a part of a wrong code. Statistics."""
     free_ambient_sd: float = 0.5
     """Standard deviation of ambient light that was stated wrongly, in parts of the lamp's full brightness. Trial."""
+    arc_sd_rad: tuple[float, float] = (0.04, 0.15)
+    """Least and largest standard deviation of the phase of one motion of an arc. Trial: it is straight there."""
+    arc_spacing: float = 1.6
+    """Distance between the motions of an arc, in standard deviations of one. Numerics: their sum is even to 1 %."""
+    min_rest_targets: int = 5
+    """Other settled targets of a frame from which the drift from the places of rest is known. Trial: it is a median."""
+    rest_sd_px: float = 0.01
+    """Least standard deviation of a place of rest. Trial: sharp frame and camera motion, from renders."""
+    rest_conflict: float = 20.0
+    """Excess of a place of rest from which it contradicts a motion. Statistics: 5e-5."""
+    rest_conflict_ratio: float = 0.1
+    """Distance from rest, in parts of the amplitude, that another phase may explain. Trial: codes shift by a third."""
+    median_deviation: float = 0.6745
+    """Median absolute deviation of a normal distribution, in standard deviations."""
     coded_minima: int = 6
     """Local minima of the phase profile that are refined where the phase shows. Trial."""
+    hidden_minima: int = 3
+    """Minima between the phases of the profile that are refined, beyond those. Speed."""
     code_axes: int = 3  # axes about which a code most resembles its mirror image, each tried as a twin; trial
 
 

@@ -18,6 +18,7 @@ from labdaemon.blur.light_code import LightCode
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
+from labdaemon.rest_place import RestPlace
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +154,15 @@ class Measurement:
         The same without its phase, where it is `phased` but the phase hardly shows.
     alternatives
         Other motions that the image does not exclude, or hardly so: cameras decide between them together.
+    arc
+        Where the phase hardly shows: the motions of which this one is the mean, each with its excess over the most
+        likely one.
     light_scores
         Of each frame under coded light, what it says of the code.
     ambient
         What it says of the ambient light under coded light, where that is a parameter and the phase shows.
+    rest
+        Where it would be at rest, if that took part in the choice between its motions.
     """
 
     target: str
@@ -170,8 +176,10 @@ class Measurement:
     chi2: float = 1.0
     axes: Measurement | None = None
     alternatives: tuple[AlternativeMotion, ...] = ()
+    arc: tuple[AlternativeMotion, ...] = ()
     light_scores: tuple[LightScore, ...] = ()
     ambient: AmbientEstimate | None = None
+    rest: RestPlace | None = None
 
     @property
     def amplitude_px(self) -> float:

@@ -199,6 +199,8 @@ class PhaseSettings:
 
     linear_phase_sd_rad: float = 0.12
     """Standard deviation of the phase up to which the linear covariance holds. Trial: the chord error is then 0.4 %."""
+    arc_sds: float = 4.0
+    """Standard deviations of a phase over which its arc is followed. Statistics."""
     phase_count: int = 256
     """Phases over which the posterior is summed. Numerics."""
     rival_cost: float = 9.0

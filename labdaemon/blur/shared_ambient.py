@@ -23,11 +23,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from labdaemon.blur.candidate_order import led_by_best, own_motion
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import FloatArray
-from labdaemon.blur.settings import PHASE
-from labdaemon.flags import Flag
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,24 +146,7 @@ def _scatter_between(value: FloatArray, weight: FloatArray) -> float:
 
 def _with_known(one: Measurement, known: _FramePrior) -> Measurement:
     """One target, its candidates weighed anew by the frame's ambient light."""
-    own = AlternativeMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2, 0.0, one.ambient)
-    weighed = sorted((_updated(candidate, known) for candidate in (own, *one.alternatives)), key=lambda c: c.excess)
-    best = weighed[0]
-    rest = [replace(other, excess=other.excess - best.excess) for other in weighed[1:]]
-    rest = [other for other in rest if other.excess < LIGHT.rival_limit]
-    flags = one.flags - {Flag.AMBIGUOUS}
-    if Flag.AT_REST not in flags and any(other.excess < PHASE.rival_cost for other in rest):
-        flags |= {Flag.AMBIGUOUS}
-    return replace(
-        one,
-        centre_px=best.centre_px,
-        a_px=best.a_px,
-        b_px=best.b_px,
-        covariance_px2=best.covariance_px2,
-        flags=flags,
-        alternatives=tuple(rest),
-        ambient=best.ambient,
-    )
+    return led_by_best(one, [_updated(candidate, known) for candidate in (own_motion(one), *one.alternatives)])
 
 
 def _updated(candidate: AlternativeMotion, known: _FramePrior) -> AlternativeMotion:

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.geometry.motion import FloatArray, ObjectMotion
+from labdaemon.geometry.half_turn import axis_phase, within_half_turn
+from labdaemon.geometry.motion import ObjectMotion
 from labdaemon.geometry.settings import INTERSECTION
 
 
@@ -24,27 +25,15 @@ def compare_phases(options: tuple[ObjectMotion, ObjectMotion], settled: Sequence
     """
     if len(settled) < INTERSECTION.min_phase_neighbours:
         return 0.0
-    phases = np.array([phase_of(motion) for motion in settled])
+    phases = np.array([axis_phase(motion.a_mm, motion.b_mm) for motion in settled])
     spread = INTERSECTION.phase_spread_rad
-    common = np.abs(_half_turns(phases[:, None] - phases)) < 3 * spread
+    common = np.abs(within_half_turn(phases[:, None] - phases)) < 3 * spread
     if float(np.max(common.mean(axis=1))) < INTERSECTION.common_phase_share:
         return 0.0
     densities = []
     for motion in options:
-        away = _half_turns(phases - phase_of(motion))
+        away = within_half_turn(phases - axis_phase(motion.a_mm, motion.b_mm))
         bells = np.exp(-((away / spread) ** 2) / 2) / (np.sqrt(2 * np.pi) * spread)
         share = INTERSECTION.other_phase_share
         densities.append((1 - share) * float(bells.mean()) + share / np.pi)
     return float(2 * np.log(densities[0] / densities[1]))
-
-
-def phase_of(motion: ObjectMotion) -> float:
-    """Phase ψ of a motion v·sin(ωt + ψ) by its signed vectors, within half a turn: v and −v are one."""
-    phasor = motion.a_mm + 1j * motion.b_mm
-    return float(np.angle(np.sum(phasor**2)) / 2)
-
-
-def _half_turns(angle_rad: FloatArray) -> FloatArray:
-    """Angles within a quarter turn of 0, half a turn being nothing."""
-    result: FloatArray = (angle_rad + np.pi / 2) % np.pi - np.pi / 2
-    return result

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from labdaemon.flags import Flag
 from labdaemon.geometry.orbit_prior import AxisRatio
+from labdaemon.rest_place import RestPlace
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +35,10 @@ class ImageMotion:
         The same without its phase, where that hardly shows.
     alternatives
         Other signed motions that the same image may show, such as twins under coded light.
+    arc
+        Where the phase hardly shows: the signed motions of which this one is the mean.
+    rest
+        Where it would be at rest, if that took part in the choice between its motions.
     excess
         Of an alternative: twice the logarithm of the odds against it.
     """
@@ -45,7 +50,14 @@ class ImageMotion:
     phased: bool = False
     axes: ImageMotion | None = None
     alternatives: tuple[ImageMotion, ...] = ()
+    arc: tuple[ImageMotion, ...] = ()
+    rest: RestPlace | None = None
     excess: float = 0.0
+
+    @property
+    def row(self) -> tuple[ImageMotion, ...]:
+        """All motions that the image may show."""
+        return (*(self.arc or (self,)), *self.alternatives)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

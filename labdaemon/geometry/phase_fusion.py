@@ -75,6 +75,38 @@ def phase_cost(
     return 2 * (sum(abs(one) for one in phasors) - abs(sum(phasors)))
 
 
+def with_minor_axes(
+    cameras: Sequence[OrientedCamera], axes: Sequence[ImageMotion], motion: ObjectMotion, in_phase_ratio: float
+) -> list[ImageMotion]:
+    """Images by their axes, each with what a minor axis in space may have done to its major one.
+
+    An image without phase shows the second moment of the path u and of the minor axis w together. Of a camera that
+    looks along the path the longer one may be w's: its axis then is no image of the path. Where w is small its square
+    alone adds, w²/2u along the path.
+
+    Parameters
+    ----------
+    cameras, axes
+        One of each a camera.
+    motion
+        Straight motion joined from them.
+    in_phase_ratio
+        Standard deviation of the ratio of a motion's axes.
+    """
+    a = motion.a_mm
+    across_mm2 = in_phase_ratio**2 * (float(a @ a) * np.eye(3) - np.outer(a, a))
+    found = []
+    for camera, one in zip(cameras, axes, strict=True):
+        jacobian = camera.project_with_jacobians(motion.mean_mm[None])[1][0]
+        shown = jacobian @ across_mm2 @ jacobian.T
+        path = jacobian @ a
+        covariance = one.covariance_px2.copy()
+        size2 = float(np.trace(shown))
+        covariance[2:4, 2:4] += shown * size2 / max(size2 + 4 * float(path @ path), 1e-12)
+        found.append(replace(one, covariance_px2=covariance))
+    return found
+
+
 def _phasors(
     cameras: Sequence[OrientedCamera], motions: Sequence[ImageMotion], axis: ObjectMotion, in_phase_ratio: float
 ) -> list[complex]:

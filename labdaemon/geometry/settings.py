@@ -85,8 +85,13 @@ class IntersectionSettings:
     twin_cost_gap: float = 9.0
     """Difference of costs that excludes a twin. Statistics: the wrong one is taken with 0.13 % at most, which is where
     the two are three standard deviations apart."""
-    phase_apart_rad: float = 0.35
-    """Angle between two signed motions from which they are two. Trial: nearer ones are in the covariance."""
+    motions_apart: float = 0.35
+    """Distance between two signed motions, in parts of the larger, from which they are two. Trial: nearer ones are
+    reported by their mean, their spread in its covariance."""
+    max_arc_motions: int = 32
+    """Motions along an arc of phases that are intersected with those of the other cameras. Speed."""
+    negligible_cost: float = 18.0
+    """Difference of costs from which a motion has no part in a mixture. Statistics: 1e-4."""
     in_phase_ratio: float = 0.02
     """Ratio of the axes up to which a structure's motion counts as in phase, before its capture is known. Trial:
     damping of a few per cent."""

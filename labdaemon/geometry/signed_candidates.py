@@ -17,13 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from labdaemon.errors import DataError
+from labdaemon.geometry.half_turn import axis_phase
+from labdaemon.geometry.image_combinations import combine_images
 from labdaemon.geometry.motion import FloatArray, ImageMotion
-from labdaemon.geometry.motion_adjustment import Candidate
+from labdaemon.geometry.motion_adjustment import Candidate, nearest_point
 from labdaemon.geometry.motion_candidates import phased_candidate
 from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, AxisRatio, OrbitPrior
 from labdaemon.geometry.oriented_camera import OrientedCamera
@@ -71,26 +72,102 @@ def signed_candidates(
     DataError
         The rays of the best combination do not meet.
     """
-    choices = [
-        sorted((motion, *motion.alternatives), key=lambda one: one.excess)[: INTERSECTION.max_alternatives]
-        for motion in motions
-    ]
-    combinations = sorted(product(*choices), key=lambda chosen: sum(one.excess for one in chosen))
+    combinations = combine_images(
+        cameras, motions, nearest_point(cameras, [motion.mean_px for motion in motions]), prior
+    )
     if len(combinations) == 1:
         return [with_phase_prior(phased_candidate(cameras, exterior, motions), prior)]
     found: list[SignedCandidate] = []
-    for chosen in combinations[: INTERSECTION.max_combinations]:
+    for chosen in combinations:
         try:
             candidate = with_phase_prior(phased_candidate(cameras, exterior, chosen), prior)
         except DataError:
             continue
-        excess = sum(one.excess for one in chosen)
+        excess = sum(one.excess for one in chosen) + _rest_excess(cameras, motions, chosen, candidate)
         ratio = candidate.axis_ratio
         penalty = excess + (0.0 if ratio is None else ratio.penalty(prior))
         found.append(replace(candidate, sign_penalty=penalty, image_excess=excess))
     if not found:
         return [with_phase_prior(phased_candidate(cameras, exterior, motions), prior)]
     return sorted(found, key=lambda candidate: candidate.total_cost)
+
+
+def _rest_excess(
+    cameras: Sequence[OrientedCamera],
+    motions: Sequence[ImageMotion],
+    chosen: Sequence[ImageMotion],
+    candidate: Candidate,
+) -> float:
+    """What the places of rest have against a combination, less what each image has against its own candidate.
+
+    An image knows its mean position the better the better its phase is known. With the motion as all cameras have it
+    that position is another, and so is its distance from rest.
+    """
+    total = 0.0
+    for camera, motion, one in zip(cameras, motions, chosen, strict=True):
+        if motion.rest is None:
+            continue
+        jacobian = camera.project_with_jacobians(candidate.motion_mm[:1])[1][0]
+        by_motion = np.kron(np.eye(2), jacobian)
+        covariance = one.covariance_px2
+        gain = covariance[:2, 2:] @ np.linalg.inv(covariance[2:, 2:] + INTERSECTION.floor_px2 * np.eye(4))
+        away = by_motion @ candidate.motion_mm[1:].ravel() - np.concatenate((one.a_px, one.b_px))
+        known = covariance[:2, :2] - gain @ covariance[2:, :2]
+        known = known + gain @ by_motion @ candidate.covariance_mm2[3:, 3:] @ by_motion.T @ gain.T
+        total += motion.rest.excess(one.mean_px + gain @ away, known)
+        total -= motion.rest.excess(one.mean_px, covariance[:2, :2])
+    return total
+
+
+def cluster_candidates(candidates: Sequence[SignedCandidate]) -> list[SignedCandidate]:
+    """Candidates that are one motion for any practical purpose as their mixture, the most likely one first.
+
+    Parameters
+    ----------
+    candidates
+        The best first.
+
+    Returns
+    -------
+    list of SignedCandidate
+        Moments of each mixture, so that the spread of its members is in the covariance; what it costs is by the sum of
+        their probabilities.
+    """
+    scale = max(1.0, candidates[0].cost / candidates[0].freedom) if candidates[0].freedom > 0 else 1.0
+    clusters: list[list[SignedCandidate]] = []
+    for one in candidates:
+        near = next((cluster for cluster in clusters if not _are_apart(cluster[0], one)), None)
+        if near is None:
+            clusters.append([one])
+        else:
+            near.append(one)
+    return sorted((_mixture(cluster, scale) for cluster in clusters), key=lambda candidate: candidate.total_cost)
+
+
+def _are_apart(first: SignedCandidate, second: SignedCandidate) -> bool:
+    """Whether two candidates are two motions, in phase, direction or length."""
+    sizes = [float(np.linalg.norm(one.motion_mm[1:])) for one in (first, second)]
+    return float(np.linalg.norm((second.motion_mm - first.motion_mm)[1:])) > INTERSECTION.motions_apart * max(sizes)
+
+
+def _mixture(members: Sequence[SignedCandidate], scale: float) -> SignedCandidate:
+    best = members[0]
+    if len(members) == 1:
+        return best
+    weight = np.exp([-(one.total_cost - best.total_cost) / (2 * scale) for one in members])
+    total = float(weight.sum())
+    weight /= total
+    motions = np.array([one.motion_mm.ravel() for one in members])
+    mean = weight @ motions
+    away = motions - mean
+    covariance = np.tensordot(weight, np.array([one.covariance_mm2 for one in members]), 1)
+    covariance += (weight * away.T) @ away
+    return replace(
+        best,
+        motion_mm=mean.reshape(3, 3),
+        covariance_mm2=covariance,
+        sign_penalty=best.sign_penalty - 2 * scale * float(np.log(total)),
+    )
 
 
 def with_phase_prior(candidate: Candidate, prior: OrbitPrior = UNKNOWN_CAPTURE) -> SignedCandidate:
@@ -126,7 +203,7 @@ def _in_phase(free: FloatArray, covariance: FloatArray, in_phase_ratio: float) -
     value, held = free, covariance
     for _ in range(INTERSECTION.in_phase_steps):
         a, b = value[3:6], value[6:]
-        phase = float(np.angle(np.sum((a + 1j * b) ** 2)) / 2)
+        phase = axis_phase(a, b)
         path = a * np.cos(phase) + b * np.sin(phase)
         size = float(np.linalg.norm(path))
         across = np.linalg.svd(path[None] / max(size, 1e-12))[2][1:]

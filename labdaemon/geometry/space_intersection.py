@@ -16,10 +16,10 @@ from labdaemon.geometry.motion_adjustment import Candidate
 from labdaemon.geometry.motion_candidates import orbit_candidates, straight_candidates
 from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, OrbitPrior, estimate_orbit_prior
 from labdaemon.geometry.oriented_camera import OrientedCamera
-from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases, phase_cost
+from labdaemon.geometry.phase_fusion import evidence_from_phases, fuse_phases, phase_cost, with_minor_axes
 from labdaemon.geometry.resolution import resolve_ambiguous_targets
 from labdaemon.geometry.settings import INTERSECTION
-from labdaemon.geometry.signed_candidates import SignedCandidate, signed_candidates
+from labdaemon.geometry.signed_candidates import SignedCandidate, cluster_candidates, signed_candidates
 from labdaemon.orbit_axes import largest_sign, principal_axes
 
 
@@ -70,8 +70,8 @@ def intersect_motion(
         raise DataError("seen by one camera only: its depth is unknown")
     phased = all(motion.phased for motion in motions)
     phase_unresolved = phased and any(motion.axes is not None for motion in motions)
-    if phased and not phase_unresolved:
-        return _signed_motion(signed_candidates(cameras, exterior, motions, orbit_prior))
+    if phased and any(not motion.arc for motion in motions) and all(m.arc or m.axes is None for m in motions):
+        return _signed_motion(cluster_candidates(signed_candidates(cameras, exterior, motions, orbit_prior)))
     if phase_unresolved:
         return _fuse_alternatives(cameras, exterior, motions, orbit_prior.in_phase_ratio)
     motions = [_principal_motion(motion) for motion in motions]
@@ -104,10 +104,9 @@ def intersect_motion(
 
 def _signed_motion(candidates: Sequence[SignedCandidate]) -> IntersectedMotion:
     """The best combination of signed motions, flagged where another one is not excluded."""
-    best = candidates[0]
-    others = [one for one in candidates[1:] if _turn_between(best, one) > INTERSECTION.phase_apart_rad]
+    best, others = candidates[0], candidates[1:]
     rival = others[0] if others else None
-    ratio = None if rival is None else float(np.sqrt(rival.total_cost / max(best.total_cost, 1e-12)))
+    ratio = None if rival is None else float(np.sqrt(max(rival.total_cost, 0.0) / max(best.total_cost, 1e-12)))
     signed = _object_motion(best, ratio, phased=True)
     if chi2.sf(best.cost, best.freedom) < INTERSECTION.sign_conflict_probability:
         return IntersectedMotion(replace(signed, flags=signed.flags | {Flag.AMBIGUOUS}))
@@ -134,8 +133,11 @@ def _fuse_alternatives(
     choices = [(motion, *motion.alternatives[: INTERSECTION.max_alternatives - 1]) for motion in motions]
     for chosen in list(product(*choices))[: INTERSECTION.max_combinations]:
         axes = [_principal_motion(motion) for motion in chosen]
+        known = evidence_from_phases(chosen, axes)
         try:
-            unphased = intersect_motion(cameras, axes, covariance=exterior, evidence=evidence_from_phases(chosen, axes))
+            unphased = intersect_motion(cameras, axes, covariance=exterior, evidence=known)
+            axes = with_minor_axes(cameras, axes, unphased.motion, in_phase_ratio)
+            unphased = intersect_motion(cameras, axes, covariance=exterior, evidence=known)
         except DataError:
             if found:
                 continue
@@ -151,15 +153,6 @@ def _fuse_alternatives(
     if any(other - cost < INTERSECTION.twin_cost_gap for other, _ in found[1:]):
         return replace(best, motion=replace(best.motion, flags=best.motion.flags | {Flag.AMBIGUOUS}))
     return best
-
-
-def _turn_between(first: Candidate, second: Candidate) -> float:
-    """Angle by which the second motion's phase is another's, 0 … π."""
-    here, there = (one.motion_mm[1] + 1j * one.motion_mm[2] for one in (first, second))
-    size = float(np.linalg.norm(here) * np.linalg.norm(there))
-    overlap = complex(np.vdot(here, there))
-    # A motion that is another one in direction as well overlaps little, whatever its phase.
-    return float(np.arccos(np.clip(overlap.real / max(size, 1e-300), -1.0, 1.0)))
 
 
 def _cost_difference(best: Candidate, other: Candidate, scale: float) -> float:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labdaemon.blur import Measurement, decide_sign
+from labdaemon.blur import AlternativeMotion, FloatArray, Measurement, decide_sign
 from labdaemon.flags import Flag
 from labdaemon.geometry import (
     ImageMotion,
@@ -256,10 +256,16 @@ def _image_motion(measurement: Measurement, sd_point_px: float = 0.0) -> ImageMo
         measurement.covariance_px2 + point,
         measurement.phased,
         None if measurement.axes is None else _image_motion(measurement.axes, sd_point_px),
-        tuple(
-            ImageMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2 + point, True, excess=one.excess)
-            for one in measurement.alternatives
-        ),
+        _candidates(measurement.alternatives, point),
+        _candidates(measurement.arc, point),
+        measurement.rest,
+    )
+
+
+def _candidates(motions: Sequence[AlternativeMotion], point_px2: FloatArray) -> tuple[ImageMotion, ...]:
+    return tuple(
+        ImageMotion(one.centre_px, one.a_px, one.b_px, one.covariance_px2 + point_px2, True, excess=one.excess)
+        for one in motions
     )
 
 

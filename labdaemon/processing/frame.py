@@ -10,6 +10,7 @@ import numpy as np
 
 from labdaemon.blur import (
     ExposureWindow,
+    FloatArray,
     InitialGuess,
     Measurement,
     MotionHarmonics,
@@ -21,6 +22,7 @@ from labdaemon.blur import (
     find_relative_signs,
     measure_group,
     measure_mccarthy2016,
+    share_rest,
     solved,
     with_relative_sd,
 )
@@ -298,11 +300,21 @@ def _measure_together(
         ]
         if seen.ambient is not None:
             said += [(one.frame.path, describe_ambient(window, seen.ambient)) for one, window in coded]
-        return seen.measured, [f"{path}: {what}" for path, what in said]
+        rest_px = _rest_px(camera, located_frames)
+        found = seen.measured if rest_px is None else share_rest(seen.measured, rest_px)
+        return found, [f"{path}: {what}" for path, what in said]
     each = [
         _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
     ]
     return [average_measurements(measured) for measured in zip(*each, strict=True)], []
+
+
+def _rest_px(camera: PreparedCamera, located_frames: Sequence[LocatedTargets]) -> FloatArray | None:
+    """(n, 2) where the targets would be at rest, mean over the frames; None where no sharp frame shows it."""
+    if not camera.at_rest:
+        return None
+    shift_px = np.mean([located.shift.at(camera.centres_px) for located in located_frames], axis=0)
+    return np.asarray(camera.centres_px + shift_px)
 
 
 def _in_frames(

@@ -91,6 +91,8 @@ class PreparedCamera:
         Empty unless asked for.
     notes
         What a person should know of its sharp frames, one line each.
+    at_rest
+        Whether the structure rests in them.
     """
 
     name: str
@@ -103,6 +105,7 @@ class PreparedCamera:
     thumbnails: tuple[Thumbnail, ...] = ()
     dots: tuple[tuple[Dot, Patch], ...] = ()
     notes: tuple[str, ...] = ()
+    at_rest: bool = True
 
     @property
     def centres_px(self) -> FloatArray:
@@ -168,7 +171,8 @@ def prepare_camera(
     """
     size = survey.lens.image_size if survey is not None else None
     frames = [read_frame(file, expect_size=size) for file in (files if at_rest else files[:1])]
-    return prepare_frames(name, frames, survey=survey, keep_dots=keep_dots, patches=patches)
+    prepared = prepare_frames(name, frames, survey=survey, keep_dots=keep_dots, patches=patches)
+    return replace(prepared, at_rest=at_rest)
 
 
 def prepare_frames(

@@ -14,6 +14,7 @@ import numpy as np
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.phase_arc import PhaseTable
 from labdaemon.blur.phase.valley_width import widen_by_valley
 from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
@@ -24,6 +25,31 @@ from labdaemon.blur.texture_settings import TEXTURE
 
 MotionVectors = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From all parameters (k,) to x, y, ax, ay, bx, by (6,) and their derivatives (6, k)."""
+
+UnmodelledCovariance = Callable[[FloatArray], FloatArray]
+"""From x, y, ax, ay, bx, by (6,) to a covariance of them (6, 6)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeighedMotion:
+    """What is reported of the best solution.
+
+    Attributes
+    ----------
+    covariance
+        (6, 6) with the rivals of the same valley in it.
+    alternatives
+        Those of other valleys.
+    axis_scatter_px2
+        (2, 2) scatter of the semi-axis over the valley.
+    table
+        The motions at all phases of the valley, where it is wider than linear terms say.
+    """
+
+    covariance: FloatArray
+    alternatives: tuple[AlternativeMotion, ...]
+    axis_scatter_px2: FloatArray
+    table: PhaseTable | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +79,10 @@ class WeighedCandidates:
         frame_set: FrameSet,
         value: FloatArray,
         covariance: FloatArray,
-        unmodelled: FloatArray,
+        unmodelled: UnmodelledCovariance,
         vectors: MotionVectors,
-    ) -> tuple[FloatArray, tuple[AlternativeMotion, ...], FloatArray]:
-        """The covariance with rivals of the same valley in it, those of other valleys, and the scatter of the axis.
+    ) -> WeighedMotion:
+        """The covariance with rivals of the same valley in it, and those of other valleys.
 
         Parameters
         ----------
@@ -65,12 +91,12 @@ class WeighedCandidates:
         value, covariance
             (6,) and (6, 6) x, y, a, b of the best and their covariance.
         unmodelled
-            (6, 6) the part of it that the fit does not know of (a straight path's minor axis).
+            What the fit does not know of (a straight path's minor axis), a part of the covariance.
         vectors
             From all parameters to x, y, a, b.
         """
         alternatives: list[AlternativeMotion] = []
-        covariance, axis_scatter_px2 = widen_by_valley(frame_set, self.best, value, covariance)
+        covariance, axis_scatter_px2, table = widen_by_valley(frame_set, self.best, value, covariance)
         total, weight = covariance.copy(), 1.0
         phasor = value[2:4] + 1j * value[4:6]
         for rival, excess in zip(self.rivals, self.excess, strict=True):
@@ -84,13 +110,13 @@ class WeighedCandidates:
             elif excess < LIGHT.rival_limit:
                 # A code shows some phases several times better than others: each motion has its own covariance.
                 full = windowed_covariance(rival, frame_set, self.transfer_factory)
-                own = by_parameters @ full @ by_parameters.T + _turned_covariance(unmodelled, float(turn))
-                own, _ = widen_by_valley(frame_set, rival, other, own)
+                own = by_parameters @ full @ by_parameters.T + unmodelled(other)
+                own, _, _ = widen_by_valley(frame_set, rival, other, own)
                 ambient = ambient_estimate(frame_set, rival, full, by_parameters)
                 one = AlternativeMotion(other[:2], other[2:4], other[4:], own, excess, ambient)
                 if all(abs(_turn_between(one, kept)) > LIGHT.same_valley_rad / 2 for kept in alternatives):
                     alternatives.append(one)
-        return total / weight, tuple(alternatives), axis_scatter_px2
+        return WeighedMotion(total / weight, tuple(alternatives), axis_scatter_px2, table)
 
 
 def weigh_candidates(
@@ -151,12 +177,3 @@ def ambient_estimate(
         by_parameters @ covariance[:, place],
         frame_set.sd_ambient**2,
     )
-
-
-def _turned_covariance(covariance: FloatArray, turn_rad: float) -> FloatArray:
-    """(6, 6) covariance of x, y, a, b of a motion whose phase is another."""
-    c, s = np.cos(turn_rad), np.sin(turn_rad)
-    jacobian = np.eye(6)
-    jacobian[2:, 2:] = np.kron(np.array([[c, -s], [s, c]]), np.eye(2))
-    result: FloatArray = jacobian @ covariance @ jacobian.T
-    return result

@@ -11,10 +11,11 @@ from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, LightScore
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.candidates import ambient_estimate, weigh_candidates
-from labdaemon.blur.phase.in_phase import PhaseProfile, profile_phase
+from labdaemon.blur.phase.in_phase import PhaseProfile, mean_waveform, profile_phase
 from labdaemon.blur.phase.light_check import score_light
-from labdaemon.blur.phase.orbit_phase import condition_on_phase, marginalise_orbit_phase
-from labdaemon.blur.phase.orbits import MinorAxis, estimate_minor_axis, perpendicular, solve_orbit
+from labdaemon.blur.phase.orbit_phase import marginalise_orbit_phase
+from labdaemon.blur.phase.orbits import MinorAxis, estimate_minor_axis, solve_orbit
+from labdaemon.blur.phase.phase_arc import PhaseTable, across_path, condition_on_phase, phase_arc
 from labdaemon.blur.phase.posterior import (
     InPhaseMotion,
     in_phase_jacobian,
@@ -54,8 +55,8 @@ class HarmonicFit:
         (6, 6) of an orbit's value with its phase held.
     minor_axis_variance_px2
         Mean square of a minor axis that an in-phase motion may have.
-    phase_unresolved
-        Whether the phase hardly shows.
+    tables
+        The motions at all phases, where the phase hardly shows; else nothing.
     ambiguous
         Whether another solution, clearly apart, fits as well.
     anisotropy_px2
@@ -77,12 +78,17 @@ class HarmonicFit:
     in_phase: InPhaseMotion | None
     fixed_phase_covariance: FloatArray
     minor_axis_variance_px2: float
-    phase_unresolved: bool
+    tables: tuple[PhaseTable, ...]
     ambiguous: bool
     anisotropy_px2: float = 0.0
     alternatives: tuple[AlternativeMotion, ...] = ()
     light_scores: tuple[LightScore, ...] = ()
     ambient: AmbientEstimate | None = None
+
+    @property
+    def arc(self) -> tuple[AlternativeMotion, ...]:
+        """The motions that the image may show, where the phase hardly shows; else nothing."""
+        return phase_arc(self.tables) if self.tables else ()
 
     @property
     def at_rest(self) -> bool:
@@ -132,7 +138,7 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
     value, covariance = selector @ refined.p, selector @ full @ selector.T
     held = condition_on_phase(value, covariance)
     size, sd = _vector_length(value[2:], held[2:, 2:])
-    phase_unresolved, alone = False, not frame_set.shows_phase
+    tables, alone = tuple[PhaseTable, ...](), not frame_set.shows_phase
     # A single frame under constant light always has its time-reversed solution.
     linear, alternatives = covariance, tuple[AlternativeMotion, ...]()
 
@@ -141,28 +147,32 @@ def _fit_orbit(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatArra
 
     near = bool(others) and _cost_excess(best, others[0]) < PHASE.rival_cost and not profile.coded
     if not alone and (near or _sd_phase(value, covariance) > PHASE.max_phase_sd_rad):
-        covariance, phase_unresolved = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
+        covariance, tables = marginalise_orbit_phase(frame_set, profile, best, value, covariance)
     ambiguous = alone
     if profile.coded:
-        covariance, alternatives, scatter_px2 = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
+        said = weighed.report(frame_set, value, covariance, _nothing_unmodelled, signed)
+        covariance, alternatives, scatter_px2 = said.covariance, said.alternatives, said.axis_scatter_px2
         phase = major_phase_rad(value[2:4], value[4:])
         unit = np.array([np.cos(phase), np.sin(phase)])
         held[2:, 2:] += np.kron(np.outer(unit, unit), scatter_px2)
-        phase_unresolved = phase_unresolved or _is_arc(scatter_px2, value, covariance)
+        if not tables and said.table is not None and _is_arc(scatter_px2, value, covariance):
+            tables = (said.table,)
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif time_reversed is not None:
         away = selector @ (time_reversed.p - best.p)
         ambiguous = ambiguous or _is_ambiguous(_cost_excess(best, time_reversed), away, linear, away, covariance)
-        if not alone and not phase_unresolved:
-            _, alternatives, _ = weighed.report(frame_set, value, covariance, np.zeros((6, 6)), signed)
-    found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, phase_unresolved, ambiguous)
+        if not alone and not tables:
+            alternatives = weighed.report(frame_set, value, covariance, _nothing_unmodelled, signed).alternatives
+    mean = mean_waveform(frame_set)
+    tables = tuple(replace(table, waveform_mean=mean) for table in tables)
+    found = HarmonicFit(value, covariance, size, sd, refined, profile, None, held, 0.0, tables, ambiguous)
     if not profile.coded:
         return replace(found, alternatives=alternatives)
     return replace(
         found,
         alternatives=alternatives,
         light_scores=score_light(frame_set, best, window_orbit_transfer, moment_px2, selector, covariance),
-        ambient=None if phase_unresolved else ambient_estimate(frame_set, refined, full, selector),
+        ambient=None if tables else ambient_estimate(frame_set, refined, full, selector),
     )
 
 
@@ -179,24 +189,31 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
     in_phase = marginalise_phase(profile, selector @ refined.p, linear, selector @ best.p, inflation)
     size, sd = _vector_length(in_phase.axis[2:], in_phase.axis_covariance[2:, 2:])
     minor_axis_variance_px2 = minor.mean_square(size)
-    n, c, s = perpendicular(profile.vector), np.cos(profile.phase), np.sin(profile.phase)
-    quarter_later = np.concatenate((np.zeros(2), -s * n, c * n))
-    unmodelled = minor_axis_variance_px2 * np.outer(quarter_later, quarter_later)
-    covariance = in_phase.covariance + unmodelled
+    mean = mean_waveform(frame_set)
+
+    def unmodelled(motion: FloatArray) -> FloatArray:
+        phase = major_phase_rad(motion[2:4], motion[4:])
+        across = across_path(np.cos(phase) * motion[2:4] + np.sin(phase) * motion[4:], phase, mean)
+        return minor_axis_variance_px2 * np.outer(across, across)
+
+    covariance = in_phase.covariance + unmodelled(in_phase.value)
     ambiguous, alternatives = is_bimodal(profile), tuple[AlternativeMotion, ...]()
     ambient: AmbientEstimate | None = None
-    if frame_set.shows_phase and not in_phase.phase_unresolved:
+    table = in_phase.table
+    if table is not None:
+        table = replace(table, minor_px2=minor.orbit_mean_square(size), waveform_mean=mean)
+    if frame_set.shows_phase and table is None:
 
         def signed(p: FloatArray) -> tuple[FloatArray, FloatArray]:
             return in_phase_vectors((selector @ p)[None])[0], in_phase_jacobian(selector @ p) @ selector
 
-        covariance, alternatives, scatter_px2 = weighed.report(
-            frame_set, in_phase.value, covariance, unmodelled, signed
-        )
+        said = weighed.report(frame_set, in_phase.value, covariance, unmodelled, signed)
+        covariance, alternatives, scatter_px2 = said.covariance, said.alternatives, said.axis_scatter_px2
         if _is_arc(scatter_px2, in_phase.value, covariance):
             axis_covariance = in_phase.axis_covariance.copy()
             axis_covariance[2:, 2:] += scatter_px2
-            in_phase = replace(in_phase, axis_covariance=axis_covariance, phase_unresolved=True)
+            in_phase = replace(in_phase, axis_covariance=axis_covariance)
+            table = None if said.table is None else replace(said.table, waveform_mean=mean)
         ambient = ambient_estimate(frame_set, refined, full, signed(refined.p)[1])
         ambiguous = any(one.excess < PHASE.rival_cost for one in alternatives)
     elif profile.rivals:
@@ -220,12 +237,16 @@ def _fit_in_phase(frame_set: FrameSet, profile: PhaseProfile, moment_px2: FloatA
         in_phase,
         held,
         minor_axis_variance_px2,
-        in_phase.phase_unresolved,
+        () if table is None else (table,),
         ambiguous,
         alternatives=alternatives,
         light_scores=scores,
         ambient=ambient,
     )
+
+
+def _nothing_unmodelled(motion: FloatArray) -> FloatArray:
+    return np.zeros((len(motion), len(motion)))
 
 
 def _variance_inflation(best: Solution, refined: Solution, vector: FloatArray) -> float:

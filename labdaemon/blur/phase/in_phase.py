@@ -163,6 +163,12 @@ def profile_phase(frame_set: FrameSet, moment_px2: FloatArray) -> PhaseProfile:
     return PhaseProfile(phases, cost, vectors, places, best, rivals, periodic, coded)
 
 
+def mean_waveform(frame_set: FrameSet) -> tuple[float, float]:
+    """Means of sin ωt and cos ωt over the windows, mean over the frames."""
+    sine, cosine = (float(np.mean(_window_moments(frame_set, phase)[0])) for phase in (0.0, np.pi / 2))
+    return sine, cosine
+
+
 def _window_moments(frame_set: FrameSet, phase_rad: float) -> tuple[list[float], float]:
     """Mean of sin(ωt + ψ) over each frame's window, and its mean variance there."""
     means, variances = [], []

@@ -43,7 +43,8 @@ def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
     elif found.ambiguous:
         flags.add(Flag.AMBIGUOUS)
     blur = float(np.mean(best.p[2 : FRAME_PARAMETERS * len(frame_set.problems) : FRAME_PARAMETERS]))
-    axes = drop_phase(sharp, found) if found.phase_unresolved else None
+    arc = found.arc
+    axes = drop_phase(sharp, found) if arc else None
     return Measurement(
         sharp.name,
         value[:2],
@@ -56,6 +57,7 @@ def phased_measurement(frame_set: FrameSet, found: HarmonicFit) -> Measurement:
         best.chi2,
         axes,
         found.alternatives,
+        arc,
         found.light_scores,
         found.ambient,
     )

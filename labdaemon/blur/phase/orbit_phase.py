@@ -11,9 +11,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.phase.orbits import perpendicular, vectors_from_axes
+from labdaemon.blur.phase.phase_arc import PhaseTable, condition_on_phase
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.fit_problem import TransferFunction
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferFactory
@@ -26,7 +28,7 @@ PHASES_PER_ROTATION = PHASE.phase_count // 2  # phases of each sense over which 
 
 def marginalise_orbit_phase(
     frame_set: FrameSet, profile: PhaseProfile, best: Solution, value: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, bool]:
+) -> tuple[FloatArray, tuple[PhaseTable, ...]]:
     """Sum up an orbit over all phases and both senses.
 
     Parameters
@@ -38,8 +40,9 @@ def marginalise_orbit_phase(
 
     Returns
     -------
-    covariance, phase_unresolved
-        (6, 6) about the best solution; whether the phase hardly shows.
+    covariance, tables
+        (6, 6) about the best solution; where the phase hardly shows the orbits of each direction of rotation at all
+        phases, else nothing.
     """
     minor_px = float(np.linalg.svd(value[2:].reshape(2, 2), compute_uv=False)[1])
     phases = profile.phase_rad
@@ -65,17 +68,13 @@ def marginalise_orbit_phase(
     size2 = float(value[2:] @ value[2:])
     phase_unresolved = float(own @ np.sum(away[near, :, 2:] ** 2, axis=1)) > PHASE.linear_phase_sd_rad**2 * size2
     if not phase_unresolved and probability[1 - near].sum() < PHASE.min_probability:
-        return covariance, False
+        return covariance, ()
     flat, weight = away.reshape(-1, 6), probability.reshape(-1)
-    return condition_on_phase(value, covariance) + (weight * flat.T) @ flat, phase_unresolved
-
-
-def condition_on_phase(value: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(6, 6) covariance with the common phase of a and b held."""
-    by_phase = np.concatenate((np.zeros(2), -value[4:], value[2:4]))
-    seen = covariance @ by_phase
-    result: FloatArray = covariance - np.outer(seen, seen) / max(float(by_phase @ seen), 1e-12)
-    return result
+    held = condition_on_phase(value, covariance)
+    phase = major_phase_rad(value[2:4], value[4:])
+    excess = (cost - cost.min()) / max(best.chi2, 1.0)
+    tables = tuple(PhaseTable(fine, one, motion, held, phase) for one, motion in zip(excess, others, strict=True))
+    return held + (weight * flat.T) @ flat, tables if phase_unresolved else ()
 
 
 def _solve_orbit_at_phase(

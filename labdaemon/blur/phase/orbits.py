@@ -54,12 +54,21 @@ class MinorAxis:
 
         Straight paths and orbits of any β up to the amplitude are held for equally likely beforehand.
         """
+        square, share = self._of_orbits(amplitude_px)
+        return square * share
+
+    def orbit_mean_square(self, amplitude_px: float) -> float:
+        """The same of orbits alone, px²: for those who weigh straight paths against orbits by more than one image."""
+        return self._of_orbits(amplitude_px)[0]
+
+    def _of_orbits(self, amplitude_px: float) -> tuple[float, float]:
+        """Mean of β² among orbits, px², and their share."""
         beta = np.linspace(-1.0, 1.0, 801) * max(amplitude_px, 1e-6)
         away = np.stack((beta - self.size_px, beta**2 - self.square_px2))
         square = np.sum(away * (np.linalg.pinv(self.covariance, hermitian=True) @ away), axis=0)
         probability = np.exp(-(square - square.min()) / 2)
         orbit, straight = float(probability.mean()), float(probability[len(beta) // 2])
-        return float(probability @ beta**2 / probability.sum()) * orbit / (orbit + straight)
+        return float(probability @ beta**2 / probability.sum()), orbit / (orbit + straight)
 
 
 def estimate_minor_axis(frame_set: FrameSet, profile: PhaseProfile) -> MinorAxis:

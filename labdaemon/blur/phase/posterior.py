@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
+from labdaemon.blur.phase.phase_arc import PhaseTable
 from labdaemon.blur.settings import PHASE
 
 MIN_PHASE_VARIANCE = 1e-12
@@ -29,15 +30,15 @@ class InPhaseMotion:
         (4,) and (4, 4) x, y, vx, vy, whatever the phase.
     value, covariance
         (6,) and (6, 6) x, y, ax, ay, bx, by: the same in terms of the phase.
-    phase_unresolved
-        Whether the phase shows less well than its circle is straight.
+    table
+        The motions at all phases, where the phase shows less well than its circle is straight; else None.
     """
 
     axis: FloatArray
     axis_covariance: FloatArray
     value: FloatArray
     covariance: FloatArray
-    phase_unresolved: bool = False
+    table: PhaseTable | None = None
 
 
 def marginalise_phase(
@@ -75,21 +76,34 @@ def marginalise_phase(
         along = v / max(float(np.hypot(*v)), 1e-12)
         part = float(np.sqrt(along @ covariance[2:4, 2:4] @ along)) / max(float(np.hypot(*v)), 1e-12)
         bent = bool(covariance[4, 4] > part)
-        return InPhaseMotion(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, bent)
+        table = _linear_table(p, covariance) if bent else None
+        return InPhaseMotion(p[:4], covariance[:4, :4], value, jacobian @ covariance @ jacobian.T, table)
     at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / max(covariance[4, 4], 1e-12)
     # The profile's weights are those of independent noise: all its motions differ as the one at the best phase does.
     others[:, :4] += p[:4] - (others[place, :4] if profile.periodic else unrefined[:4])
+    table = PhaseTable(phases, cost, in_phase_vectors(others), _at_phase(at_phase, float(p[4])), float(p[4]))
     probability /= probability.sum()
     axis = probability @ others[:, :4]
     if profile.periodic:
         # Far below a pixel valleys are no parabolas, and their mean errs less than the most likely phase.
         mean_phase = float(np.angle(near @ np.exp(1j * phases)))
         value = in_phase_vectors(np.append(axis, mean_phase)[None])[0]
-    total = _weighted_scatter(probability, in_phase_vectors(others) - value)
+    total = _weighted_scatter(probability, table.motion_px - value)
     for weight, phase in zip(probability, phases, strict=True):
-        total += weight * _vector_jacobian(float(phase)) @ at_phase @ _vector_jacobian(float(phase)).T
+        total += weight * _at_phase(at_phase, float(phase))
     bent = profile.periodic or scatter > PHASE.linear_phase_sd_rad**2
-    return InPhaseMotion(axis, at_phase + _weighted_scatter(probability, others[:, :4] - axis), value, total, bent)
+    axis_covariance = at_phase + _weighted_scatter(probability, others[:, :4] - axis)
+    return InPhaseMotion(axis, axis_covariance, value, total, table if bent else None)
+
+
+def _linear_table(p: FloatArray, covariance: FloatArray) -> PhaseTable:
+    """The motions at all phases about the best one, in linear terms."""
+    variance = max(float(covariance[4, 4]), MIN_PHASE_VARIANCE)
+    away = np.linspace(-PHASE.arc_sds, PHASE.arc_sds, PHASE.phase_count) * np.sqrt(variance)
+    others = p + np.outer(away, covariance[:, 4] / variance)
+    at_phase = covariance[:4, :4] - np.outer(covariance[:4, 4], covariance[4, :4]) / variance
+    phase = float(p[4])
+    return PhaseTable(others[:, 4], away**2 / variance, in_phase_vectors(others), _at_phase(at_phase, phase), phase)
 
 
 def _weighted_scatter(probability: FloatArray, away: FloatArray) -> FloatArray:
@@ -104,6 +118,13 @@ def in_phase_jacobian(p: FloatArray) -> FloatArray:
     jacobian[:, :4] = _vector_jacobian(float(p[4]))
     jacobian[2:, 4] = np.concatenate((-s * v, c * v))
     return jacobian
+
+
+def _at_phase(covariance: FloatArray, phase_rad: float) -> FloatArray:
+    """(6, 6) covariance of x, y, a, b of a (4, 4) one of x, y, v at a held phase."""
+    jacobian = _vector_jacobian(phase_rad)
+    result: FloatArray = jacobian @ covariance @ jacobian.T
+    return result
 
 
 def _vector_jacobian(phase_rad: float) -> FloatArray:

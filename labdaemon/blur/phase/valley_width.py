@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.patch.pixels import FloatArray
+from labdaemon.blur.phase.phase_arc import PhaseTable, condition_on_phase, turned_motion
 from labdaemon.blur.settings import PHASE
 from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, window_fixed_phase_transfer
 from labdaemon.blur.smear.texture_frames import correct_cost
@@ -24,7 +25,7 @@ from labdaemon.blur.solver.solve import solve
 
 def widen_by_valley(
     frame_set: FrameSet, near: Solution, value: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, PhaseTable | None]:
     """The covariance with the scatter over all phases of the valley, where that is larger than the linear one.
 
     Parameters
@@ -38,35 +39,39 @@ def widen_by_valley(
 
     Returns
     -------
-    covariance, axis_scatter_px2
+    covariance, axis_scatter_px2, table
         (6, 6), as given where the phase is known well, and under constant light; (2, 2) the scatter of the semi-axis
-        over the valley, for those who do not use the phase.
+        over the valley, for those who do not use the phase; the motions at all phases of the valley, where it is wider
+        than the covariance was.
     """
     nothing = np.zeros((2, 2))
     if not any(window.is_coded for window in frame_set.windows):
-        return covariance, nothing
+        return covariance, nothing, None
     phasor = value[2:4] + 1j * value[4:]
     size2 = float(np.sum(np.abs(phasor) ** 2))
     by_phase = np.concatenate((-value[4:], value[2:4]))
     variance = float(by_phase @ covariance[2:, 2:] @ by_phase) / max(size2**2, 1e-12)
     if not LIGHT.valley_scan_sd_rad**2 < variance < PHASE.linear_phase_sd_rad**2:
-        return covariance, nothing
+        return covariance, nothing, None
     phase = major_phase_rad(value[2:4], value[4:])
     vector = np.real(phasor * np.exp(-1j * phase))
     offsets, costs, places = _scan(frame_set, near, phase, vector)
     fine = np.linspace(offsets[0], offsets[-1], PHASE.phase_count + 1)
     cost = CubicSpline(offsets, costs)(fine)
     moved = CubicSpline(offsets, places)(fine)
-    probability = np.exp(-(cost - cost.min()) / (2 * max(near.chi2, LIGHT.min_noise_scale)))
+    excess = (cost - cost.min()) / max(near.chi2, LIGHT.min_noise_scale)
+    probability = np.exp(-excess / 2)
     probability /= probability.sum()
     scatter = float(probability @ fine**2)
     if scatter <= variance:
-        return covariance, nothing
+        return covariance, nothing, None
+    refined = np.array([turned_motion(value - moved[len(fine) // 2], float(turn)) for turn in fine])
+    table = PhaseTable(phase + fine, excess, moved + refined, condition_on_phase(value, covariance), phase)
     weight = (1 - variance / scatter) * probability
     axes = np.cos(phase + fine)[:, None] * moved[:, 2:4] + np.sin(phase + fine)[:, None] * moved[:, 4:]
     middle = len(fine) // 2
     from_middle, away = axes - axes[middle], moved - moved[middle]
-    return covariance + (weight * away.T) @ away, (weight * from_middle.T) @ from_middle
+    return covariance + (weight * away.T) @ away, (weight * from_middle.T) @ from_middle, table
 
 
 def _scan(
