@@ -59,7 +59,7 @@ def _fit_tied(
         return through, fit_harmonic(through, orbit=orbit)
 
     first = at(phase_rad)
-    if not frame_set.shows_phase or first[1].phase_unresolved or first[1].at_rest:
+    if not frame_set.shows_phase or first[1].tables or first[1].at_rest:
         return first
     second = at(phase_rad + PHASE_STEP_RAD)[1]
     change = (second.value - first[1].value) / PHASE_STEP_RAD
