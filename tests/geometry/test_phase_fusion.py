@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labdaemon.geometry import ImageMotion, intersect_motion
+from labdaemon.geometry import ImageMotion, ObjectMotion, intersect_motion
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion_candidates import sign_penalty_of, straight_candidates
+from labdaemon.geometry.phase_fusion import with_minor_axes
 
 PLACES = [(-500, -1000, 300), (500, -1000, 500)]
 SD_PX = 0.005
@@ -71,3 +72,18 @@ def test_evidence_speaks_against_one_match_whichever_end_it_was() -> None:
     assert sign_penalty_of(evidence, (1.0, -1.0, 1.0)) == 0.0
     assert sign_penalty_of(evidence, (-1.0, 1.0, 1.0)) == 0.0
     assert sign_penalty_of(evidence, (1.0, 1.0, -1.0)) == 12.0
+
+
+def test_a_minor_axis_counts_where_a_camera_sees_more_of_it_than_of_the_path(look) -> None:
+    """One camera looks along the path, the other across it; the orbit's minor axis is a twentieth of the major one."""
+    cameras = [look((-500, -1000, 370)), look((500, -1000, 370))]
+    mean, ratio = np.array([0.0, 0.0, 370.0]), 0.05
+    ray = mean - cameras[1].position_mm
+    path = 2.0 * ray / np.linalg.norm(ray)
+    motion = ObjectMotion(mean, path, np.zeros(3), np.eye(9) * 1e-6)
+    axes = [ImageMotion(np.zeros(2), np.array([0.3, 0.0]), np.zeros(2), np.eye(6) * 1e-6) for _ in cameras]
+    across, along = (one.covariance_px2[2:4, 2:4] for one in with_minor_axes(cameras, axes, motion, ratio))
+    minor_px2 = (ratio * 2.0 * 3937.7 / np.linalg.norm(ray)) ** 2
+    np.testing.assert_allclose(np.diag(along), minor_px2, rtol=0.1)
+    assert np.trace(across) < 0.01 * minor_px2
+    assert np.allclose(axes[0].covariance_px2, np.eye(6) * 1e-6)  # what was given stays
