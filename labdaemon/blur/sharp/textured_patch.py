@@ -15,6 +15,7 @@ from labdaemon.blur.patch.pixels import ComplexArray, FloatArray, NoiseModel, Pa
 from labdaemon.blur.settings import TARGET_SHAPE
 from labdaemon.blur.sharp.fit_sharp import average_patches
 from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.texture_settings import TEXTURE
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
 
@@ -146,6 +147,8 @@ def make_textured_patch(
         flags.add(Flag.NOT_FOUND)
         if np.count_nonzero(patch.valid[inside]) < 0.5 * valid.size:
             flags.add(Flag.SATURATED)
+    if np.mean(~patch.valid[np.isin(patch.channel, channels)]) > TEXTURE.max_clipped:
+        flags.add(Flag.SATURATED)
     in_dark = np.array([left + (box[2] - 1) / 2, top + (box[3] - 1) / 2])
     centre = in_dark + np.asarray(patch.origin_px)
     form = TexturedPatch(channels, dark, in_dark, (box[2], box[3]), count, spread, spread / max(bright, 1e-9))

@@ -50,6 +50,7 @@ from labdaemon.blur.patch.illumination import paper_level
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.settings import UNCERTAINTY
 from labdaemon.blur.sharp.target import SharpTarget
+from labdaemon.blur.sharp.textured_patch import TexturedPatch
 from labdaemon.blur.sharp.weights import saturation_ceiling_dn
 from labdaemon.blur.smear.frame_set import FrameSet, TransferFactory
 from labdaemon.blur.solver.reduced_equations import Solution
@@ -184,7 +185,8 @@ def covariance_at_rest(covariance: FloatArray, amplitude_px: float, sd_square_px
 
 def quality_flags(sharp: SharpTarget, best: Solution, a: FloatArray, b: FloatArray) -> set[Flag]:
     """Flags by the residuals, by the extent of the blurred target on its paper, and by the sharp frame."""
-    flags = set(sharp.flags & {Flag.POOR_FIT})
+    spoilt = {Flag.POOR_FIT, Flag.SATURATED} if isinstance(sharp.form, TexturedPatch) else {Flag.POOR_FIT}
+    flags = set(sharp.flags & spoilt)
     if best.chi2 > UNCERTAINTY.poor_chi2 and sharp.noise_known:
         flags.add(Flag.POOR_FIT)
     reach = float(np.hypot(np.hypot(*a), np.hypot(*b))) + max(sharp.form.half_size_px)

@@ -51,6 +51,20 @@ def test_stripes_with_some_structure_along_them_are_determined():
     assert np.all(np.abs(found.a_px - (1.2, 0.9)) < 4 * sd + 0.02)
 
 
+@pytest.mark.parametrize(("share", "is_cut"), [(0.001, False), (0.05, True)])
+def test_a_texture_that_white_level_cuts_is_flagged(share, is_cut):
+    rng = np.random.default_rng(26)
+    texture = 30 * random_texture(rng, 130, 2.0)
+    ceiling = 128 + np.quantile(texture, 1 - share)
+
+    def clipped(image):
+        values = 128 + image + rng.normal(0, 1, image.shape)
+        return Patch(np.minimum(values, ceiling), np.zeros(values.shape, np.uint8), values < ceiling, (0, 0))
+
+    found = measure(make_textured_patch(clipped(texture), BOX), clipped(moved(texture, np.array([1.8, 0.9]))))
+    assert (Flag.SATURATED in found.flags) == is_cut
+
+
 def test_a_surface_without_texture_is_not_found():
     rng = np.random.default_rng(4)
     blank = np.zeros((130, 130))
