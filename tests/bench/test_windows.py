@@ -48,6 +48,12 @@ def test_signed_vectors_through_known_windows_are_near_the_bound() -> None:
     assert known.amplitude_pulls.shape == known.phase_pulls.shape == (1,)
 
 
+def test_valleys_that_are_narrower_than_the_phases_tried_are_followed_through_short_windows() -> None:
+    known = run_known(0.8, 0.3, 1, 0.004, seed=94)
+    assert known.flagged == 0
+    assert known.error_mm[0] < 5 * known.bound_mm[0]
+
+
 def test_the_command_prints_a_line_for_each_case(monkeypatch: pytest.MonkeyPatch) -> None:
     one, nothing = np.array([0.01]), np.array([np.nan])
     monkeypatch.setattr(windows, "run_unknown", lambda cycles, *_, **__: UnknownTrials(cycles, nothing, one, one, one))
