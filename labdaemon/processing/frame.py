@@ -31,7 +31,13 @@ from labdaemon.flags import Flag
 from labdaemon.geometry import CameraMotion, estimate_camera_motion
 from labdaemon.imaging import LazyImage, RawFrame, read_frame
 from labdaemon.processing.group import holds_phase, is_part_cycle
-from labdaemon.processing.lamp_light import describe_ambient, describe_light, measure_under_code
+from labdaemon.processing.lamp_light import (
+    UNEVEN_LIGHT,
+    describe_ambient,
+    describe_light,
+    flag_light_mismatch,
+    measure_under_code,
+)
 from labdaemon.processing.located import LocatedTargets, cut_patch, fit_inputs, measure_first, measure_smears
 from labdaemon.processing.missing_targets import predict_missing
 from labdaemon.processing.motion_laws import MotionLaws
@@ -141,7 +147,7 @@ def measure_raw(
     if method == "paper":
         found = _measure_mccarthy2016(camera, located_frames)
     elif len(frames) == 1 and not (windows[0] is not None and windows[0].is_coded):
-        found = _measure_one(camera, located_frames[0], windows[0], laws)
+        found, light_notes = _measure_one(camera, located_frames[0], windows[0], laws)
         evidence = _evidence(camera, located_frames[0], windows[0], found)
     else:
         found, light_notes = _measure_together(camera, located_frames, windows, laws)
@@ -219,7 +225,7 @@ def _with_white(
 
 def _measure_one(
     camera: PreparedCamera, located: LocatedTargets, window: ExposureWindow | None, laws: MotionLaws
-) -> list[Measurement]:
+) -> tuple[list[Measurement], list[str]]:
     first, waveform = measure_first(camera, located, window, laws)
     if waveform.window is not None:
         window = waveform.window
@@ -244,7 +250,10 @@ def _measure_one(
         on_label = camera.targets[index].outline is not None and bool(np.isfinite(one.a_px).all())
         if one.flags & {Flag.OCCLUDED, Flag.PAPER_EDGE} or (on_label and Flag.POOR_FIT not in one.flags):
             result[index] = one
-    return [with_relative_sd(one, waveform.relative_sd) for one in result]
+    result = [with_relative_sd(one, waveform.relative_sd) for one in result]
+    if waveform.is_light_uneven:
+        return flag_light_mismatch(result), [f"{located.frame.path}: {UNEVEN_LIGHT}"]
+    return result, []
 
 
 def _missing_target(located: LocatedTargets, target: SharpTarget) -> Measurement:
@@ -306,7 +315,8 @@ def _measure_together(
     each = [
         _measure_one(camera, located, window, laws) for located, window in zip(located_frames, windows, strict=True)
     ]
-    return [average_measurements(measured) for measured in zip(*each, strict=True)], []
+    together = [average_measurements(measured) for measured in zip(*(found for found, _ in each), strict=True)]
+    return together, [note for _, notes in each for note in notes]
 
 
 def _rest_px(camera: PreparedCamera, located_frames: Sequence[LocatedTargets]) -> FloatArray | None:

@@ -20,6 +20,12 @@ from labdaemon.blur import (
 )
 from labdaemon.flags import Flag
 
+UNEVEN_LIGHT = (
+    "shows targets that were lit more on one half of their paths, as whole cycles under constant light never are: "
+    "state the lamp's light, light_phase_rad and light_cycles in capture.toml, or correct exposure_s"
+)
+"""What a frame shows whose capture states whole cycles and no code."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedMeasurement:

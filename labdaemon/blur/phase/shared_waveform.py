@@ -1,7 +1,8 @@
-"""What the targets of a frame say together of the waveform: part cycles, or a third harmonic.
+"""What the targets of a frame say together of the waveform: part cycles, a third harmonic, or uneven light.
 
 Both change the ends of a path, where a target dwells. The one that explains the images better is taken; whole cycles of
-a sinusoid stay where neither is needed.
+a sinusoid stay where neither is needed. Where the exposure is known to be of whole cycles, and the targets spend more
+time on one half of their paths, the light was not constant.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from labdaemon.blur.motion import Defocus, ExposureWindow, Measurement
 from labdaemon.blur.patch.pixels import Patch
 from labdaemon.blur.phase.third_harmonic import ThirdHarmonic, third_harmonic
+from labdaemon.blur.phase.uneven_light import is_light_uneven
 from labdaemon.blur.phase.unknown_window import UnknownWindow, estimate_window, window_gain
 from labdaemon.blur.phase.window_evidence import collect_evidence
 from labdaemon.blur.sharp.target import SharpTarget
@@ -27,10 +29,14 @@ class SharedWaveform:
         The exposure, where it was not known.
     harmonic
         The third harmonic; None where there is none to be seen.
+    is_light_uneven
+        Whether the light changed over the excitation's cycle, or the exposure was far from whole cycles, although
+        constant light over whole cycles was stated.
     """
 
     exposure: UnknownWindow | None = None
     harmonic: ThirdHarmonic | None = None
+    is_light_uneven: bool = False
 
     @property
     def window(self) -> ExposureWindow | None:
@@ -68,6 +74,8 @@ def estimate_waveform(
         Whether the exposure is known to be of whole cycles, so that only a harmonic is left.
     """
     evidence = collect_evidence(sharps, patches, measured, defocus)
+    if whole and is_light_uneven(evidence):
+        return SharedWaveform(is_light_uneven=True)
     harmonic = third_harmonic(evidence)
     if whole or (harmonic is not None and harmonic.gain > window_gain(evidence)):
         return SharedWaveform(harmonic=harmonic)

@@ -55,6 +55,8 @@ class WaveformEvidence:
         (ORDERS + 1, ORDERS + 1) and (ORDERS + 1,) equations of the series' coefficients, everything else eliminated.
     by_series
         (2, ORDERS + 1) change of the path's vector by the coefficients, px.
+    flags
+        Of the target's measurement as over whole cycles.
     """
 
     frame_set: FrameSet
@@ -62,6 +64,7 @@ class WaveformEvidence:
     information: FloatArray
     score: FloatArray
     by_series: FloatArray
+    flags: frozenset[Flag] = frozenset()
 
     @property
     def amplitude_px(self) -> float:
@@ -104,7 +107,7 @@ def waveform_evidence(
     start = np.concatenate((found.centre_px, [found.defocus_px2], np.zeros(frame_set.shape_count), found.a_px))
     model, prior = fast_forward_model(problem, closed_form.straight_transfer), frame_set.prior(2)
     solution = solve(frame_set.planes, frame_set.weights, model, start, prior)
-    return WaveformEvidence(frame_set, solution, *_series_equations(frame_set, solution, prior))
+    return WaveformEvidence(frame_set, solution, *_series_equations(frame_set, solution, prior), found.flags)
 
 
 def _series_equations(
