@@ -173,7 +173,7 @@ def _averaged(t: FloatArray, y: FloatArray, frequency_hz: float) -> tuple[FloatA
 
 
 def _checked(fit: _LinearFit, y: FloatArray, stated_hz: float) -> PeriodicFit:
-    """The result, if the record moves alike from begin to end, and at the frequency that was stated."""
+    """The result, if its motion stays the same all through, and has the frequency that was stated."""
     result = _result(fit)
     check_steady(fit.t_s, y, fit.frequency_hz)
     check_shape(y, y - fit.residual, result.readings / result.cycles)

@@ -1,4 +1,4 @@
-"""Whether a record's times and rate can show a motion, and whether it moves alike from the record's begin to its end.
+"""Whether a record's times and rate can show a motion, and whether the motion stays the same all through.
 
 A gauge that falls silent, loses readings without losing their times, or has a clock of its own sends numbers that a
 sine can be fitted to. The sine is then wrong, and its residuals do not say by how much: such records are refused.

@@ -99,8 +99,3 @@ class MotionHarmonics:
             turn = order * angle_rad + (order - 1) * self.phase_rad
             wave = wave + (cosine + 1j * sine) * np.exp(1j * turn)
         return np.stack((wave.imag, wave.real))
-
-
-def major_phase_rad(a_px: FloatArray, b_px: FloatArray) -> float:
-    """Phase ψ of an orbit's major axis: a sin θ + b cos θ is largest along it as sin(θ + ψ)."""
-    return 0.5 * math.atan2(2.0 * float(a_px @ b_px), float(a_px @ a_px - b_px @ b_px))

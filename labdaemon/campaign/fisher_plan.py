@@ -283,7 +283,7 @@ _SHARED = (
 
 
 def _has_part_cycles(windows: Sequence[ExposureWindow]) -> bool:
-    """Whether a frame will be flagged `part_cycles`: nothing tells which part of the motion it has seen."""
+    """Whether a frame will be flagged `part_cycles`: nothing says which part of the motion it has seen."""
     return any(one.phase_rad is None and one.light is None and one.fraction > LIMIT_CYCLES for one in windows)
 
 

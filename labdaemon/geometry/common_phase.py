@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labdaemon.geometry.half_turn import axis_phase, within_half_turn
 from labdaemon.geometry.motion import ObjectMotion
 from labdaemon.geometry.settings import INTERSECTION
+from labdaemon.half_turn import major_phase_rad, within_half_turn
 
 
 def compare_phases(options: tuple[ObjectMotion, ObjectMotion], settled: Sequence[ObjectMotion]) -> float:
@@ -25,14 +25,14 @@ def compare_phases(options: tuple[ObjectMotion, ObjectMotion], settled: Sequence
     """
     if len(settled) < INTERSECTION.min_phase_neighbours:
         return 0.0
-    phases = np.array([axis_phase(motion.a_mm, motion.b_mm) for motion in settled])
+    phases = np.array([major_phase_rad(motion.a_mm, motion.b_mm) for motion in settled])
     spread = INTERSECTION.phase_spread_rad
     common = np.abs(within_half_turn(phases[:, None] - phases)) < 3 * spread
     if float(np.max(common.mean(axis=1))) < INTERSECTION.common_phase_share:
         return 0.0
     densities = []
     for motion in options:
-        away = within_half_turn(phases - axis_phase(motion.a_mm, motion.b_mm))
+        away = within_half_turn(phases - major_phase_rad(motion.a_mm, motion.b_mm))
         bells = np.exp(-((away / spread) ** 2) / 2) / (np.sqrt(2 * np.pi) * spread)
         share = INTERSECTION.other_phase_share
         densities.append((1 - share) * float(bells.mean()) + share / np.pi)

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labdaemon.errors import DataError
-from labdaemon.geometry.half_turn import axis_phase
 from labdaemon.geometry.image_combinations import combine_images
 from labdaemon.geometry.motion import FloatArray, ImageMotion
 from labdaemon.geometry.motion_adjustment import Candidate, nearest_point
@@ -29,6 +28,7 @@ from labdaemon.geometry.motion_candidates import phased_candidate
 from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, AxisRatio, OrbitPrior
 from labdaemon.geometry.oriented_camera import OrientedCamera
 from labdaemon.geometry.settings import INTERSECTION
+from labdaemon.half_turn import major_phase_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +203,7 @@ def _in_phase(free: FloatArray, covariance: FloatArray, in_phase_ratio: float) -
     value, held = free, covariance
     for _ in range(INTERSECTION.in_phase_steps):
         a, b = value[3:6], value[6:]
-        phase = axis_phase(a, b)
+        phase = major_phase_rad(a, b)
         path = a * np.cos(phase) + b * np.sin(phase)
         size = float(np.linalg.norm(path))
         across = np.linalg.svd(path[None] / max(size, 1e-12))[2][1:]

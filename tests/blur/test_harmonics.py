@@ -19,10 +19,10 @@ from labdaemon.blur import (
     measure_group,
     named_code,
 )
-from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.waveform import window_nodes
 from labdaemon.errors import UsageError
 from labdaemon.flags import Flag
+from labdaemon.half_turn import major_phase_rad
 
 STILL = Defocus(0.0, 0.01)
 AXIS = np.array((math.cos(0.4), math.sin(0.4)))

@@ -10,12 +10,12 @@ import pytest
 from labdaemon.flags import Flag
 from labdaemon.geometry import ImageMotion, ObjectMotion, intersect_motion, intersect_targets
 from labdaemon.geometry.common_phase import compare_phases
-from labdaemon.geometry.half_turn import axis_phase, within_half_turn
 from labdaemon.geometry.harmonic import project_motion
 from labdaemon.geometry.motion_candidates import phased_candidate
 from labdaemon.geometry.orbit_prior import UNKNOWN_CAPTURE, AxisRatio, OrbitPrior, estimate_orbit_prior
 from labdaemon.geometry.settings import INTERSECTION
 from labdaemon.geometry.signed_candidates import signed_candidates, with_phase_prior
+from labdaemon.half_turn import major_phase_rad, within_half_turn
 
 TWO = [(-500, -1000, 300), (500, -1000, 500)]
 LEVEL = [(-500, -1000, 370), (500, -1000, 370)]
@@ -212,7 +212,7 @@ def motion(phase: float, sign: float = 1.0, place: float = 0.0) -> ObjectMotion:
 
 
 def test_the_phase_of_a_motion_does_not_depend_on_its_sign() -> None:
-    one, opposite = (axis_phase(each.a_mm, each.b_mm) for each in (motion(0.7), motion(0.7, -1.0)))
+    one, opposite = (major_phase_rad(each.a_mm, each.b_mm) for each in (motion(0.7), motion(0.7, -1.0)))
     assert abs(within_half_turn(np.array(one - opposite))) < 1e-9
 
 

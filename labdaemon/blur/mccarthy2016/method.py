@@ -33,6 +33,7 @@ from labdaemon.blur.motion import Measurement
 from labdaemon.blur.patch.pixels import Dot, FloatArray, Patch
 from labdaemon.blur.settings import PROFILE
 from labdaemon.flags import Flag
+from labdaemon.half_turn import within_half_turn
 
 
 def measure_mccarthy2016(
@@ -216,8 +217,7 @@ def _align(dark: FloatArray, frame: ProfileFrame, profiles: int) -> tuple[Profil
         if ends is None:
             return None
         vector = ends.vector_px
-        turn = float(np.arctan2(vector[1], vector[0])) - frame.angle_rad
-        turn = (turn + np.pi / 2) % np.pi - np.pi / 2
+        turn = within_half_turn(float(np.arctan2(vector[1], vector[0])) - frame.angle_rad)
         if not PROFILE.realign_rad < abs(turn) < PROFILE.max_realign_rad:
             break
         c, s = abs(np.cos(turn)), abs(np.sin(turn))

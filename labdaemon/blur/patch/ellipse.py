@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labdaemon.half_turn import within_half_turn
+
 FloatArray = NDArray[np.float64]
 
 
@@ -118,5 +120,4 @@ def _ellipse_from_conic(conic: FloatArray, shift: FloatArray, size: float) -> El
 
 
 def _axis_angle(axis: FloatArray) -> float:
-    angle = float(np.arctan2(axis[1], axis[0]))
-    return (angle + np.pi / 2.0) % np.pi - np.pi / 2.0
+    return within_half_turn(float(np.arctan2(axis[1], axis[0])))

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion, AmbientEstimate, LightScore
 from labdaemon.blur.patch.pixels import FloatArray
@@ -32,6 +31,7 @@ from labdaemon.blur.smear.frame_set import (
 )
 from labdaemon.blur.smear.uncertainty import windowed_covariance
 from labdaemon.blur.solver.reduced_equations import Solution
+from labdaemon.half_turn import major_phase_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from labdaemon.blur.harmonics import MotionHarmonics, major_phase_rad
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.phase.harmonic_fit import HarmonicFit, fit_harmonic
 from labdaemon.blur.smear.frame_set import FrameSet
+from labdaemon.half_turn import major_phase_rad, within_half_turn
 
 PHASE_STEP_RAD = 0.05
 """Change of the stated phase by which a fit's response to it is taken. Numerics."""
@@ -63,13 +64,13 @@ def _fit_tied(
         return first
     second = at(phase_rad + PHASE_STEP_RAD)[1]
     change = (second.value - first[1].value) / PHASE_STEP_RAD
-    following = _half_turn(_phase(second) - _phase(first[1])) / PHASE_STEP_RAD
+    following = within_half_turn(_phase(second) - _phase(first[1])) / PHASE_STEP_RAD
     if np.abs(change[2:]).max() > MOST_CHANGE * first[1].size_px:
         return first  # another solution
     remaining = max(1 - following, LEAST_REMAINING)
     last, stated_rad = first, phase_rad
     for _ in range(PHASE_ROUNDS):
-        away = _half_turn(_phase(last[1]) - stated_rad) / remaining
+        away = within_half_turn(_phase(last[1]) - stated_rad) / remaining
         if abs(away) < PHASE_TOLERANCE_RAD:
             break
         stated_rad += float(np.clip(away, -MOST_STEP_RAD, MOST_STEP_RAD))
@@ -83,8 +84,3 @@ def _fit_tied(
 
 def _phase(found: HarmonicFit) -> float:
     return major_phase_rad(found.value[2:4], found.value[4:])
-
-
-def _half_turn(angle_rad: float) -> float:
-    """The angle within a quarter turn of 0: a motion's phase is that of its axis, whose sign is open."""
-    return (angle_rad + math.pi / 2) % math.pi - math.pi / 2

@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.in_phase import PhaseProfile
 from labdaemon.blur.phase.orbits import perpendicular, vectors_from_axes
@@ -22,6 +21,7 @@ from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, TransferF
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import quadrature_transfer
+from labdaemon.half_turn import major_phase_rad
 
 PHASES_PER_ROTATION = PHASE.phase_count // 2  # phases of each sense over which the probabilities are summed
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.motion import AlternativeMotion
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.orbits import perpendicular
+from labdaemon.half_turn import major_phase_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,6 @@ import numpy as np
 from labdaemon.blur.phase.waveform_series import ORDERS
 from labdaemon.blur.phase.window_evidence import WaveformEvidence
 from labdaemon.flags import Flag
-from labdaemon.least_squares import scaled_inverse
 
 SHOWN = 50.0
 """Squared standard deviations by which the odd terms must explain a target better. Statistics: noise alone does not
@@ -44,12 +43,10 @@ def is_light_uneven(evidence: Sequence[WaveformEvidence]) -> bool:
 
 def _odd_size(one: WaveformEvidence) -> float:
     """Size of the first two odd terms; 0 where the image does not ask for any."""
-    information, score = one.information / one.scale, one.score / one.scale
-    odd = np.arange(0, ORDERS, 2)
-    even = np.setdiff1d(np.arange(len(score)), odd)
-    gain = float(score @ scaled_inverse(information) @ score)
-    gain -= float(score[even] @ scaled_inverse(information[np.ix_(even, even)]) @ score[even])
-    if not gain - len(odd) > SHOWN:
+    count = len(one.score)
+    odd = range(0, ORDERS, 2)
+    others = [index for index in range(count) if index not in odd]
+    if not one.gain(range(count)) - one.gain(others) - len(odd) > SHOWN:
         return 0.0
-    terms = np.linalg.solve(information + np.eye(len(score)) / PRIOR_SD**2, score)
-    return float(np.hypot(*terms[odd[:2]]))
+    terms = np.linalg.solve(one.information / one.scale + np.eye(count) / PRIOR_SD**2, one.score / one.scale)
+    return float(np.hypot(terms[0], terms[2]))

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labdaemon.blur.harmonics import major_phase_rad
 from labdaemon.blur.light_settings import LIGHT
 from labdaemon.blur.patch.pixels import FloatArray
 from labdaemon.blur.phase.phase_arc import PhaseTable, condition_on_phase, turned_motion
@@ -21,6 +20,7 @@ from labdaemon.blur.smear.frame_set import FRAME_PARAMETERS, FrameSet, window_fi
 from labdaemon.blur.smear.texture_frames import correct_cost
 from labdaemon.blur.solver.reduced_equations import Solution
 from labdaemon.blur.solver.solve import solve
+from labdaemon.half_turn import major_phase_rad
 
 
 def widen_by_valley(

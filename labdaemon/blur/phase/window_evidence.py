@@ -71,6 +71,11 @@ class WaveformEvidence:
         """Semi-amplitude as over whole cycles."""
         return float(np.hypot(*self.solution.p[-2:]))
 
+    def gain(self, terms: Sequence[int]) -> float:
+        """By how many squared standard deviations these coefficients, all free, explain the image better."""
+        information, score = self.information[np.ix_(terms, terms)], self.score[terms]
+        return float(score @ scaled_inverse(information) @ score) / self.scale
+
     @property
     def scale(self) -> float:
         """Residuals over the noise model, at least 1."""
@@ -150,8 +155,8 @@ def collect_evidence(
 
 def _shows_waveform(one: WaveformEvidence) -> bool:
     """Whether any exposure or harmonic explains a target better than noise does: all coefficients free."""
-    gain = float(one.score @ scaled_inverse(one.information) @ one.score) / one.scale
-    return gain > len(one.score) + SIGN
+    count = len(one.score)
+    return one.gain(range(count)) > count + SIGN
 
 
 def _says_something(one: Measurement) -> bool:

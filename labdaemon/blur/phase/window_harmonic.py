@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labdaemon.blur.harmonics import MotionHarmonics, major_phase_rad
+from labdaemon.blur.harmonics import MotionHarmonics
 from labdaemon.blur.motion import Measurement
 from labdaemon.blur.patch.pixels import ComplexArray, FloatArray
 from labdaemon.blur.phase.orbits import minor_axis_transfer
@@ -28,6 +28,7 @@ from labdaemon.blur.smear.frame_set import FrameSet, window_in_phase_transfer
 from labdaemon.blur.smear.gls_frames import frame_products
 from labdaemon.blur.solver.solve import solve
 from labdaemon.blur.waveform import quadrature_transfer
+from labdaemon.half_turn import major_phase_rad
 from labdaemon.least_squares import scaled_inverse
 
 FREED = 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labdaemon.geometry.half_turn import axis_phase, within_half_turn
+from labdaemon.half_turn import major_phase_rad, within_half_turn
 
 
 def test_half_a_turn_is_nothing() -> None:
@@ -18,5 +18,5 @@ def test_an_orbits_phase_is_that_of_its_major_axis_whatever_its_sign() -> None:
     major, minor = np.array([1.0, -0.5, 0.2]), 0.2 * np.array([0.5, 1.0, 0.0])
     for phase in (-1.2, 0.3, 1.4):
         a, b = major * np.cos(phase) - minor * np.sin(phase), major * np.sin(phase) + minor * np.cos(phase)
-        assert abs(within_half_turn(np.array(axis_phase(a, b) - phase))) < 1e-9
-        assert abs(within_half_turn(np.array(axis_phase(-a, -b) - phase))) < 1e-9
+        assert abs(within_half_turn(np.array(major_phase_rad(a, b) - phase))) < 1e-9
+        assert abs(within_half_turn(np.array(major_phase_rad(-a, -b) - phase))) < 1e-9
